@@ -1,0 +1,1 @@
+"""Grasp planning by parallel shape matching."""

@@ -1,0 +1,182 @@
+"""The nouns that more than one stage shares. Metres, radians, newtons; `T_a_b` maps b-coordinates to a-coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from graspmatch.geometry.grid import Grid
+from graspmatch.geometry.mesh import TriangleMesh
+
+Array = np.ndarray
+
+
+class GraspmatchError(Exception):
+    """Something the user gave cannot be used; the message says what was wrong and what is possible."""
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """Points, and outward unit normals where they are known."""
+
+    points: Float[Array, "n 3"]
+    """[m]"""
+    normals: Float[Array, "n 3"] | None = None
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The points x with normal . x = offset; the free side is where the normal points."""
+
+    normal: Float[Array, "3"]
+    offset: float
+    """[m]"""
+
+
+@dataclass(frozen=True)
+class Finger:
+    """One finger: the links that move together and the driven joints that move them."""
+
+    name: str
+    links: tuple[str, ...]
+    joints: tuple[int, ...]
+    """Indices into `Gripper.joint_names` of the driven joints that close this finger."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """One rigid body of the hand, geometry in its own frame."""
+
+    name: str
+    collision: TriangleMesh
+    """What can touch."""
+    visual: TriangleMesh
+    """What a picture shows."""
+    rgba: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Preshape:
+    """One posture of the fingers as one rigid shape in the gripper frame, with all that matching asks of it."""
+
+    name: str
+    joints: Float[Array, "d"]
+    """Driven joint values."""
+    samples: PointCloud
+    """S: samples of the inner surface, with normals."""
+    weights: Float[Array, "n"]
+    """Weight of each sample in the matching error; their mean is one."""
+    tool_centre_point: Float[Array, "3"]
+    """TCP [m]: the weighted centre of the inner surface, as the paper defines it."""
+    hand: Grid
+    """G: signed distance of the whole hand [m], negative inside."""
+    corridor: Grid
+    """Smallest value of G on the straight way in: signed distance of the volume that the approach sweeps [m]."""
+    nearest_sample: Int[Array, "nx ny nz"]
+    """Index of the nearest sample at each node of the grid `hand`."""
+    arrival: Float[Array, "f nx ny nz"]
+    """Closing fraction at which each finger first covers the node, on the grid `hand`; 2 where it never does."""
+    outline: Float[Array, "v 3"]
+    """Corners of the convex hulls of all links [m]: a plane clear of them is clear of the hand."""
+    finger_outlines: tuple[Float[Array, "k v 3"], ...]
+    """For each finger, the same for its links at k closing fractions, evenly from 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """A hand: its description, its frames and its baked preshapes. The gripper frame is the base link of the file."""
+
+    name: str
+    description: Path
+    """The URDF or MJCF file."""
+    base_link: str
+    joint_names: tuple[str, ...]
+    """The d driven joints; couplings of the file and of the card give the others."""
+    lower: Float[Array, "d"]
+    upper: Float[Array, "d"]
+    open_joints: Float[Array, "d"]
+    closed_joints: Float[Array, "d"]
+    """Where a driven joint that closes ends; for a joint that only spreads, its open value."""
+    links: tuple[Link, ...]
+    fingers: tuple[Finger, ...]
+    approach: Float[Array, "3"]
+    """Unit vector towards the object, gripper frame."""
+    closing: Float[Array, "3"]
+    """Unit vector along which the fingers close, gripper frame."""
+    tool_centre_point: Float[Array, "3"]
+    """Where the fingertips meet [m], gripper frame."""
+    finger_force: float
+    """Rated force of one finger [N]."""
+    opening: float
+    """Widest clear distance between the fingers [m]."""
+    preshapes: tuple[Preshape, ...]
+    content_hash: str
+    """Of the card, the description and its meshes."""
+
+    @property
+    def T_gripper_canonical(self) -> Float[Array, "4 4"]:
+        """Canonical frame: origin at the base, +z approach, +x closing."""
+        T = np.eye(4)
+        T[:3, :3] = np.stack([self.closing, np.cross(self.approach, self.closing), self.approach], axis=-1)
+        return T
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a set of grasps came from."""
+
+    gripper: str
+    gripper_hash: str
+    config: str
+    """The planner's configuration as JSON."""
+    seed: int
+    device: str
+    version: str
+    source: str = ""
+    """File or array that the scene came from."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Wall time of each stage [s]."""
+
+
+@dataclass(frozen=True)
+class GraspSet:
+    """n grasps, best first; length zero when there are none, and `explain()` says why."""
+
+    joint_names: tuple[str, ...]
+    preshape_names: tuple[str, ...]
+    T_world_gripper: Float[Array, "n 4 4"]
+    T_world_pregrasp: Float[Array, "n 4 4"]
+    """Where the straight approach begins."""
+    preshape: Int[Array, "n"]
+    """Index into `preshape_names`."""
+    pregrasp_joints: Float[Array, "n d"]
+    grasp_joints: Float[Array, "n d"]
+    """Driven joint values where each finger first meets the object."""
+    score: Float[Array, "n"]
+    """Higher is better, 0 to 1."""
+    clearance: Float[Array, "n"]
+    """Smallest distance of hand and approach to object, obstacles and table [m], positive when free."""
+    matching_error: Float[Array, "n"]
+    """Mean squared distance of the inner surface to the object, eq. (14) [m2]."""
+    loss: Float[Array, "n"]
+    """The paper's whole loss, eq. (13) [m2]."""
+    fingers_touching: Int[Array, "n"]
+    """How many fingers meet the object when they close."""
+    tally: dict[str, int]
+    """How many candidates each stage began with and dropped, in order: reason to count."""
+    provenance: Provenance
+    advice: str = ""
+    """What would help, when nothing is left."""
+
+    def __len__(self) -> int:
+        return len(self.T_world_gripper)
+
+    def explain(self) -> str:
+        """What became of the candidates, as text."""
+        total = self.tally.get("candidates", 0)
+        lines = [f"{len(self)} grasps for {self.provenance.gripper} from {total} candidates."]
+        lines += [f"  {count:6d}  {reason}" for reason, count in self.tally.items() if reason != "candidates" and count]
+        return "\n".join(lines + ([self.advice] if self.advice else []))

@@ -8,14 +8,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from graspmatch.errors import GraspmatchError as GraspmatchError
 from graspmatch.geometry.grid import Grid
 from graspmatch.geometry.mesh import TriangleMesh
 
 Array = np.ndarray
-
-
-class GraspmatchError(Exception):
-    """Something the user gave cannot be used; the message says what was wrong and what is possible."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +109,8 @@ class Gripper:
     """Rated force of one finger [N]."""
     opening: float
     """Widest clear distance between the fingers [m]."""
+    approach_distance: float
+    """Length of the straight way in [m], which the preshapes' corridors cover."""
     preshapes: tuple[Preshape, ...]
     content_hash: str
     """Of the card, the description and its meshes."""

@@ -23,9 +23,9 @@ class Grid:
         """Number of nodes along x, y and z."""
         return self.values.shape  # type: ignore[return-value]
 
-    def nodes(self) -> Float[np.ndarray, "n 3"]:
-        """Positions of all nodes [m], in the order of `values.ravel()`."""
-        return node_positions(self.origin, self.spacing, self.shape)
+    def shifted(self, offset: Float[np.ndarray, "3"]) -> Grid:
+        """The same values, moved by `offset` [m]."""
+        return Grid(self.origin + offset, self.spacing, self.values)
 
 
 def node_positions(

@@ -1,0 +1,134 @@
+"""The planner's knobs, one frozen dataclass per stage. Defaults are Table I of the paper where it has a value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Method = Literal["icp", "sgd-icp", "stein-icp", "annealed-stein-icp"]
+
+
+@dataclass(frozen=True)
+class BakingConfig:
+    """How a preshape becomes samples and fields. Everything here is part of the cache's key."""
+
+    grid_spacing: float = 0.003
+    """Spacing of the fields of the whole hand [m]."""
+    link_spacing: float = 0.002
+    """Spacing of the signed distance field of a single link [m]."""
+    margin: float = 0.02
+    """How far the fields reach beyond the hand [m]."""
+    approach_distance: float = 0.15
+    """Length of the straight way in that must be free [m]."""
+    closing_steps: int = 24
+    """Postures into which the closing motion is cut."""
+
+
+@dataclass(frozen=True)
+class PoseGaussian:
+    """One Gaussian over poses of the gripper in the world."""
+
+    position: tuple[float, float, float]
+    """Mean origin of the gripper frame [m]."""
+    wxyz: tuple[float, float, float, float]
+    """Mean rotation."""
+    sigma_position: float = 0.02
+    """[m]"""
+    sigma_angle: float = 0.2
+    """[rad]"""
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class SeedingConfig:
+    """Where the particles start."""
+
+    pattern: Literal["quarter", "sphere", "gaussians"] = "quarter"
+    """Fibonacci points on the quarter sphere that faces the robot, on the full sphere, or draws from `gaussians`."""
+    points: int = 94
+    """Fibonacci points on the full sphere; `quarter` keeps a quarter of them: (100 - 6) / 4 in Table I."""
+    above: int = 6
+    """Seeds straight above the object, at evenly spread turns of the hand."""
+    robot_direction: tuple[float, float, float] = (-1.0, 0.0, 0.0)
+    """Horizontal direction from the object towards the robot, world frame."""
+    gaussians: tuple[PoseGaussian, ...] = ()
+    """For the pattern `gaussians`: the mixture that `points` poses are drawn from."""
+
+
+@dataclass(frozen=True)
+class MatchingConfig:
+    """Algorithm 1."""
+
+    method: Method = "annealed-stein-icp"
+    iterations: int = 40
+    """k_max."""
+    stein_iterations: int = 15
+    """k_stein: iterations of (annealed) Stein ICP before SGD-ICP."""
+    learning_rate: float = 1.0
+    """eta of eqs. (3) and (7)."""
+    voxel_size: float = 0.005
+    """Spacing of the target cloud R [m]."""
+    collision_voxel_size: float = 0.008
+    """Spacing of the cloud C that collisions are checked with while matching [m]."""
+    batch_from: Literal["gripper", "object"] = "gripper"
+    """Which cloud the growing mini-batch is drawn from: the paper says both."""
+    com_weight: float = 1.0
+    """Weight of the centre-of-mass term, eq. (13)."""
+    com_gradient: Literal["loss", "paper"] = "loss"
+    """Scale of its gradient: that of the loss (13), or divided by the batch size as eqs. (16) and (17) print it."""
+    annealing_cycles: int = 5
+    """C of eq. (11)."""
+    annealing_exponent: float = 2.0
+    """p of eq. (11)."""
+    repulsion: float = 1.0
+    """Weight of the kernel's gradient in eq. (8); zero turns the particles' repulsion off."""
+    prior_translation: float = 0.3
+    """Standard deviation of the Gaussian prior around each seed [m]."""
+    prior_concentration: float = 1.0
+    """Concentration kappa of the von Mises prior around each seed's rotation."""
+    convergence: float = 2e-4
+    """Relative change of the loss below which a free particle has converged."""
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """What counts as free after matching."""
+
+    clearance: float = 0.002
+    """Least distance of hand and approach to everything [m]; scans bulge, and a touch topples a bottle."""
+    largest_retreat: float = 0.05
+    """How far a match may be backed off along its approach until it is free [m]."""
+
+
+@dataclass(frozen=True)
+class ClosingConfig:
+    """What the fingers must meet when they close."""
+
+    fewest_fingers: int = 2
+
+
+@dataclass(frozen=True)
+class RankingConfig:
+    """Which grasps come out."""
+
+    count: int = 20
+    """At most so many."""
+    distinct_distance: float = 0.01
+    """Grasps nearer than this [m] ..."""
+    distinct_angle: float = 0.26
+    """... and turned less than this [rad] count as one; the better stays."""
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """All stages, one seed, one device."""
+
+    seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    collision: CollisionConfig = field(default_factory=CollisionConfig)
+    closing: ClosingConfig = field(default_factory=ClosingConfig)
+    ranking: RankingConfig = field(default_factory=RankingConfig)
+    seed: int = 0
+    """The one integer that all randomness comes from."""
+    device: str = "auto"
+    """`cpu`, `cuda:0`, or `auto`: CUDA where there is a device."""

@@ -1,0 +1,160 @@
+"""Point clouds as plain arrays: thinning, specks, normals. Every result is independent of the order of the input."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+Array = np.ndarray
+
+GRID_SHIFT = 0.382
+"""How far before the lowest point the voxel grid begins, in voxels: clouds sampled on a grid of their own would lie
+exactly on the borders of a grid that begins at the point, and rounding would decide on which side."""
+
+
+def distinct_rows(rows: Float[Array, "n c"]) -> Int[Array, "m"]:
+    """Indices of one copy of each row, in an order that depends on the values of the rows only."""
+    code = np.zeros(len(rows), dtype=np.uint64)
+    for column in np.ascontiguousarray(rows.T, dtype=np.float64):
+        code ^= (column + 0.0).view(np.uint64)  # + 0.0, since -0.0 and 0.0 differ in their bits
+        code *= np.uint64(0x9E3779B97F4A7C15)
+        code ^= code >> np.uint64(29)
+    order = np.argsort(code)
+    code = code[order]
+    same = np.flatnonzero(code[1:] == code[:-1])
+    same = same[(rows[order[same]] == rows[order[same + 1]]).all(axis=1)]
+    return np.delete(order, same + 1) if len(same) else order
+
+
+def voxel_downsample(
+    points: Float[Array, "n 3"], spacing: float, *, labels: Int[Array, "n"] | None = None
+) -> tuple[Float[Array, "m 3"], Int[Array, "n"]]:
+    """The centroid of the points in each voxel of edge `spacing` [m], and for each point the row of its voxel.
+
+    The grid begins at the lowest corner of the cloud, so it moves with the cloud. Points of different non-negative
+    `labels` never share a voxel. The result is ordered by voxel.
+    """
+    if len(points) == 0:
+        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    key = np.zeros(len(points), dtype=np.int64)
+    for column in np.ascontiguousarray(points.T, dtype=np.float64):
+        index = ((column - column.min()) / spacing + GRID_SHIFT).astype(np.int64)
+        key *= index.max() + 1
+        key += index
+    if labels is not None:
+        key = key * (labels.max() + 1) + labels
+    voxels, inverse = np.unique(key, return_inverse=True)
+    return voxel_means(points, inverse, len(voxels)), inverse
+
+
+def voxel_means(values: Shaped[Array, "n c"], inverse: Int[Array, "n"], count: int) -> Float[Array, "m c"]:
+    """Mean of the values in each of `count` voxels, by the inverse that `voxel_downsample` returns."""
+    sums = [np.bincount(inverse, weights=column, minlength=count) for column in values.T]
+    return np.stack(sums, axis=-1) / np.bincount(inverse, minlength=count)[:, None]
+
+
+def normal_sector(normals: Float[Array, "n 3"]) -> Int[Array, "n"]:
+    """Which of six directions (0 to 5) each normal is closest to: as labels, they keep the sides of a sheet apart.
+
+    The six are the faces of a cube that stands askew, so that the right angles and the bevels of made things do not
+    lie on the border between two sectors.
+    """
+    askew = np.array([[2.0, 3.0, 6.0], [3.0, -6.0, 2.0], [6.0, 2.0, -3.0]]) / 7
+    along = normals @ askew
+    axis = np.argmax(np.abs(along), axis=1)
+    return 2 * axis + (along[np.arange(len(along)), axis] < 0)
+
+
+def nearest(points: Float[Array, "n 3"], k: int) -> tuple[Float[Array, "n k"], Int[Array, "n k"]]:
+    """Distances [m] and indices of the k nearest points of each point, itself first; all of them if there are fewer."""
+    from scipy.spatial import KDTree
+
+    distances, index = KDTree(points).query(points, min(k, len(points)), workers=-1)
+    shape = (len(points), -1)
+    return np.reshape(distances, shape), np.reshape(index, shape)
+
+
+def isolated(distances: Float[Array, "n k"], index: Int[Array, "n k"]) -> Bool[Array, "n"]:
+    """Which points are specks, judged by their `nearest`: far from everything, by two measures.
+
+    A speck's distance to its sixth neighbour is above five times the cloud's median and above two and a half times the
+    median of those six. The second test spares parts that are sparse or thin throughout: a wire, a tip.
+    """
+    if index.shape[1] < 7:
+        return np.zeros(len(index), dtype=bool)
+    reach = distances[:, 6]
+    far = reach > 5 * np.median(reach)
+    far[far] = reach[far] > 2.5 * np.median(reach[index[far, 1:7]], axis=1)
+    return far
+
+
+def estimate_normals(
+    points: Float[Array, "n 3"], index: Int[Array, "n k"], *, sensor_origin: Float[Array, "3"] | None = None
+) -> Float[Array, "n 3"]:
+    """Unit normals from the principal axes of each point's neighbours, towards the sensor where it is known.
+
+    Without a sensor, the signs are spread over the surface and each connected part is turned away from the centre of
+    the cloud. That is right for the surface of a closed object seen from all round. It is a guess for the view of one
+    side only (the inside of a bowl comes out as if it were the outside), and it fails where the two sides of a sheet
+    are closer to each other than neighbouring points are.
+    """
+    local = points[index]
+    local = local - local.mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(np.swapaxes(local, 1, 2) @ local)
+    normals = np.ascontiguousarray(axes[:, :, 0])
+    if sensor_origin is None:
+        return normals * outward_signs(points, normals, index[:, :8])[:, None]
+    return np.where(_dot(sensor_origin - points, normals)[:, None] < 0, -normals, normals)
+
+
+def outward_signs(
+    points: Float[Array, "n 3"], normals: Float[Array, "n 3"], index: Int[Array, "n k"]
+) -> Float[Array, "n"]:
+    """For each normal +1 or -1, such that together they point out (Hoppe et al. 1992, with a vote for each part).
+
+    The sign spreads along a spanning tree over the neighbours `index` that prefers parallel normals and steps along
+    the surface, so it goes round the rim of a plate rather than through it. For a closed surface the sum of
+    normal . (point - centre) is three times its volume, so its sign says whether a part has to be turned over.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+
+    n = len(points)
+    a, b = np.repeat(np.arange(n), index.shape[1] - 1), index[:, 1:].ravel()
+    step = points[b] - points[a]
+    bend = 1 - np.abs(_dot(normals[a], normals[b]))
+    climb = np.abs(_dot(step, normals[a])) + np.abs(_dot(step, normals[b]))
+    cost = 1e-3 + bend + climb / np.sqrt(_dot(step, step))  # never zero, which a sparse graph reads as no edge
+    tree = minimum_spanning_tree(coo_matrix((cost, (a, b)), shape=(n, n)).tocsr())
+    _, part = connected_components(tree, directed=False)
+    signs = _spread_signs(tree, part, normals)
+
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    size = np.ptp(points, axis=0).max()
+    away = points - centre + np.array([0.0, 0.0, 1e-3 * size])  # a flat sheet, which has no outside, faces up
+    votes = np.bincount(part, weights=signs * _dot(normals, away))
+    return np.where(votes[part] < 0, -signs, signs)
+
+
+def _spread_signs(tree, part: Int[Array, "n"], normals: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    """Signs that make every edge of the forest join normals less than a right angle apart; one in each part stays."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order
+
+    n = len(part)
+    edges = tree.tocoo()
+    roots = np.unique(part, return_index=True)[1]  # one edge from an extra node to each makes the forest a tree
+    row, col = np.append(edges.row, np.full(len(roots), n)), np.append(edges.col, roots)
+    joined = coo_matrix((np.ones(len(row)), (row, col)), shape=(n + 1, n + 1)).tocsr()
+    _, parent = breadth_first_order(joined, n, directed=False)
+    parent[n] = n
+    padded = np.append(normals, np.zeros((1, 3)), axis=0)
+    signs = np.where(_dot(padded, padded[parent]) < 0, -1.0, 1.0)
+    while (parent != n).any():  # the product of the signs on the way to the root, in doubling steps
+        signs = signs * signs[parent]
+        parent = parent[parent]
+    return signs[:n]
+
+
+def _dot(a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    return np.einsum("ni,ni->n", a, b)

@@ -1,0 +1,166 @@
+"""Baking: one posture of the fingers becomes a `Preshape`, with everything that planning asks of the hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from graspmatch.config import BakingConfig
+from graspmatch.geometry import grid as grids
+from graspmatch.geometry import se3
+from graspmatch.geometry.grid import Grid
+from graspmatch.geometry.mesh import TriangleMesh, concatenate, transformed
+from graspmatch.gripper.card import Card
+from graspmatch.gripper.kinematics import HandModel, pose_links
+from graspmatch.gripper.samples import inner_surface
+from graspmatch.kernels import warp_bake
+from graspmatch.kernels.fields import stack_fields
+from graspmatch.kernels.launch import launch
+from graspmatch.types import Finger, Link, Preshape
+
+DEVICE = "cpu"
+"""Baking happens once per hand and is cached: it need not be fast."""
+
+
+@dataclass(frozen=True)
+class BakedLinks:
+    """The links of a hand as signed distance fields, each in its own frame, and the corners of their convex hulls."""
+
+    links: tuple[Link, ...]
+    fields: tuple[Grid, ...]
+    hulls: tuple[Float[np.ndarray, "v 3"], ...]
+
+
+def bake_links(links: Sequence[Link], config: BakingConfig) -> BakedLinks:
+    """Signed distance field and hull of each link's collision mesh."""
+    fields = tuple(link_field(link.collision, config) for link in links)
+    return BakedLinks(tuple(links), fields, tuple(hull_corners(link.collision.vertices) for link in links))
+
+
+def link_field(mesh: TriangleMesh, config: BakingConfig) -> Grid:
+    """Signed distance to a mesh [m], negative inside, on a grid that reaches `margin` beyond it."""
+    lower, upper = mesh.vertices.min(axis=0) - config.margin, mesh.vertices.max(axis=0) + config.margin
+    origin, shape = grids.covering(lower, upper, config.link_spacing)
+    nodes = grids.node_positions(origin, config.link_spacing, shape)
+    distance = wp.empty(len(nodes), dtype=wp.float32, device=DEVICE)
+    device_mesh = wp.Mesh(
+        wp.array(mesh.vertices, dtype=wp.vec3, device=DEVICE),
+        wp.array(mesh.faces.ravel(), dtype=wp.int32, device=DEVICE),
+        support_winding_number=True,
+    )
+    x = wp.array(nodes, dtype=wp.vec3, device=DEVICE)
+    launch(warp_bake.mesh_distance, len(nodes), [device_mesh.id, x], [distance], DEVICE)
+    return Grid(origin, config.link_spacing, distance.numpy().reshape(shape))
+
+
+def hull_corners(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "v 3"]:
+    """The corners of the convex hull; of a flat or tiny body all its points."""
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:
+        return np.unique(points, axis=0)
+
+
+def bake_preshape(
+    hand: HandModel,
+    baked: BakedLinks,
+    fingers: tuple[Finger, ...],
+    name: str,
+    joints: Float[np.ndarray, "d"],
+    closed: Float[np.ndarray, "d"],
+    config: BakingConfig,
+) -> Preshape:
+    """All fields and samples of the posture `joints` (driven values), which closes towards `closed`."""
+    card = hand.card
+    fractions = np.linspace(0, 1, config.closing_steps)
+    T_gripper_link = np.stack([pose_links(hand, joints + u * (closed - joints)) for u in fractions])
+    samples = _samples(card, baked.links, T_gripper_link[0])
+    outline = _posed_corners(baked.hulls, T_gripper_link[0], range(len(baked.links)))
+    moving = [_link_indices(baked.links, finger.links) for finger in fingers]
+    outlines = tuple(
+        np.stack([_posed_corners(baked.hulls, T_gripper_link[k], links) for k in range(config.closing_steps)])
+        for links in moving
+    )
+    # One grid for the hand and for all that its fingers reach while closing.
+    everything = np.concatenate([outline, *(o.reshape(-1, 3) for o in outlines)])
+    spacing = config.grid_spacing
+    origin, shape = grids.covering(
+        everything.min(axis=0) - config.margin, everything.max(axis=0) + config.margin, spacing
+    )
+    nodes = grids.node_positions(origin, spacing, shape)
+    stack = stack_fields(baked.fields, DEVICE)
+    field = Grid(origin, spacing, _hand_distance(stack, T_gripper_link[0], nodes).reshape(shape))
+    arrival = np.stack([_arrival(stack, T_gripper_link, links, nodes).reshape(shape) for links in moving])
+    weights = np.ones(len(samples.points))
+    return Preshape(
+        name=name,
+        joints=joints,
+        samples=samples,
+        weights=weights,
+        tool_centre_point=np.average(samples.points, axis=0, weights=weights),
+        hand=field,
+        corridor=_corridor(field, np.array(card.approach), config),
+        nearest_sample=cKDTree(samples.points).query(nodes)[1].reshape(shape).astype(np.int32),
+        arrival=arrival,
+        outline=outline,
+        finger_outlines=outlines,
+    )
+
+
+def _samples(card: Card, links: Sequence[Link], T_gripper_link: Float[np.ndarray, "l 4 4"]):
+    mesh = concatenate([transformed(link.collision, T) for link, T in zip(links, T_gripper_link, strict=True)])
+    return inner_surface(
+        mesh, np.array(card.approach), np.array(card.tool_centre_point), card.samples.method, card.samples.voxel_size
+    )
+
+
+def _link_indices(links: Sequence[Link], names: Sequence[str]) -> list[int]:
+    """Indices of the named links; those without geometry have none."""
+    return [i for i, link in enumerate(links) if link.name in names]
+
+
+def _posed_corners(hulls, T_gripper_link: Float[np.ndarray, "l 4 4"], links) -> Float[np.ndarray, "v 3"]:
+    return np.concatenate([se3.apply(T_gripper_link[i], hulls[i]) for i in links])
+
+
+def _transforms(T_gripper_link: Float[np.ndarray, "m 4 4"]) -> wp.array:
+    return wp.array(se3.inverse(T_gripper_link), dtype=wp.mat44, device=DEVICE)
+
+
+def _hand_distance(stack, T_gripper_link, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """G: distance to the nearest link."""
+    out = wp.empty(len(nodes), dtype=wp.float32, device=DEVICE)
+    links = wp.array(np.arange(len(T_gripper_link)), dtype=wp.int32, device=DEVICE)
+    x = wp.array(nodes, dtype=wp.vec3, device=DEVICE)
+    launch(warp_bake.hand_distance, len(nodes), [stack, _transforms(T_gripper_link), links, x], [out], DEVICE)
+    return out.numpy()
+
+
+def _arrival(stack, T_gripper_link: Float[np.ndarray, "k l 4 4"], links: list[int], nodes) -> Float[np.ndarray, "n"]:
+    """Closing fraction at which the links first cover each node."""
+    steps, count = T_gripper_link.shape[:2]
+    out = wp.empty(len(nodes), dtype=wp.float32, device=DEVICE)
+    link = wp.array(np.array(links), dtype=wp.int32, device=DEVICE)
+    x = wp.array(nodes, dtype=wp.vec3, device=DEVICE)
+    inputs = [stack, _transforms(T_gripper_link.reshape(-1, 4, 4)), count, steps, link, x]
+    launch(warp_bake.closing_arrival, len(nodes), inputs, [out], DEVICE)
+    return out.numpy()
+
+
+def _corridor(hand: Grid, approach: Float[np.ndarray, "3"], config: BakingConfig) -> Grid:
+    """The field of the hand's straight way in, on a grid that reaches back as far as the way does."""
+    upper = hand.origin + hand.spacing * (np.array(hand.shape) - 1)
+    back = -config.approach_distance * approach
+    lower, upper = np.minimum(hand.origin, hand.origin + back), np.maximum(upper, upper + back)
+    origin, shape = grids.covering(lower, upper, hand.spacing)
+    nodes = wp.array(grids.node_positions(origin, hand.spacing, shape), dtype=wp.vec3, device=DEVICE)
+    out = wp.empty(nodes.shape[0], dtype=wp.float32, device=DEVICE)
+    way = [wp.vec3(*approach), config.approach_distance, hand.spacing]
+    launch(warp_bake.corridor_distance, nodes.shape[0], [stack_fields([hand], DEVICE), *way, nodes], [out], DEVICE)
+    return Grid(origin, hand.spacing, out.numpy().reshape(shape))
+

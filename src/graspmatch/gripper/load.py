@@ -1,0 +1,88 @@
+"""From a name or a card to a `Gripper`: read, checked, baked once, cached by content."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from graspmatch.config import BakingConfig
+from graspmatch.gripper.bake import bake_links, bake_preshape
+from graspmatch.gripper.cache import read_gripper, write_gripper
+from graspmatch.gripper.card import preshape_joints
+from graspmatch.gripper.description import content_hash
+from graspmatch.gripper.kinematics import HandModel, load_hand
+from graspmatch.gripper.zoo import card_path
+from graspmatch.types import Finger, Gripper
+
+BAKING_VERSION = 1
+"""Raised whenever baking gives another result for the same input."""
+
+
+def load_gripper(
+    name: str | Path, *, description: str | Path | None = None, baking: BakingConfig | None = None
+) -> Gripper:
+    """A built-in hand by name, or any hand by the path of its card (TOML); `description` puts another file in its place.
+
+    The first load of a hand bakes its preshapes, which takes seconds; later ones read the cache. Raises
+    `GraspmatchError` for an unknown name, and for a card that does not fit its description.
+    """
+    baking = baking or BakingConfig()
+    hand = load_hand(card_path(name), description)
+    content = content_hash(hand.card, hand.description)
+    key = _cache_key(hand.card.name, content, baking)
+    cached = read_gripper(key)
+    if cached is not None:
+        return replace(cached, description=hand.description.path)
+    gripper = bake_gripper(hand, content, baking)
+    write_gripper(key, gripper)
+    return gripper
+
+
+def bake_gripper(hand: HandModel, content: str, baking: BakingConfig) -> Gripper:
+    """All preshapes of a hand, from its card and description."""
+    card = hand.card
+    fingers = tuple(
+        Finger(finger.name, finger.links, tuple(hand.joint_names.index(joint) for joint in finger.joints))
+        for finger in card.fingers
+    )
+    open_joints, closed_joints = (np.array(values, dtype=float) for values in (card.open_joints, card.closed_joints))
+    links = bake_links(hand.links, baking)
+    preshapes = tuple(
+        bake_preshape(hand, links, fingers, name, joints, closing_target(hand, joints), baking)
+        for name, joints in preshape_joints(card, hand.joint_names)
+    )
+    return Gripper(
+        name=card.name,
+        description=hand.description.path,
+        base_link=card.base_link,
+        joint_names=hand.joint_names,
+        lower=hand.lower,
+        upper=hand.upper,
+        open_joints=open_joints,
+        closed_joints=closed_joints,
+        links=hand.links,
+        fingers=fingers,
+        approach=card.approach,
+        closing=card.closing,
+        tool_centre_point=card.tool_centre_point,
+        finger_force=card.finger_force,
+        opening=card.opening,
+        approach_distance=baking.approach_distance,
+        preshapes=preshapes,
+        content_hash=content,
+    )
+
+
+def closing_target(hand: HandModel, joints: np.ndarray) -> np.ndarray:
+    """Where a posture's fingers end when nothing stops them: spread joints stay where they are."""
+    closes = np.array([hand.card.joints[name].closed is not None for name in hand.joint_names])
+    return np.where(closes, hand.card.closed_joints, joints)
+
+
+def _cache_key(name: str, content: str, baking: BakingConfig) -> str:
+    recipe = f"{content} {BAKING_VERSION} {version('graspmatch')} {sorted(asdict(baking).items())}"
+    return f"{name}-{hashlib.sha256(recipe.encode()).hexdigest()[:20]}"

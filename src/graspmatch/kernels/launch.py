@@ -1,0 +1,83 @@
+"""Where kernels run: device names, and launches cut into chunks so that the CPU uses all its cores.
+
+A Warp launch on the CPU runs on one thread but releases the interpreter lock, so chunks of the same launch run side by
+side on a pool. Every kernel launched this way takes the index of its first element as first argument, and writes only
+its own elements: results do not depend on the number of chunks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import warp as wp
+
+from graspmatch.errors import GraspmatchError
+
+
+
+@contextlib.contextmanager
+def _silent_stderr() -> Iterator[None]:
+    """Warp's native loader reports a missing CUDA driver on the file descriptor itself, on every start; being without a
+    GPU is no news to a user without one, and `resolve_device` says it where it matters."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+wp.config.log_level = wp.LOG_ERROR
+with _silent_stderr():
+    wp.init()
+
+
+def resolve_device(name: str) -> str:
+    """The Warp device of a name: `auto` is CUDA where there is a device, else the CPU."""
+    cuda = [str(device) for device in wp.get_cuda_devices()]
+    if name == "auto":
+        return cuda[0] if cuda else "cpu"
+    if name == "cuda" and cuda:
+        return cuda[0]
+    if name not in ("cpu", *cuda):
+        raise GraspmatchError(f"No device named '{name}'. Available: {', '.join(['cpu', *cuda])}.")
+    return name
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="graspmatch")
+
+
+def thread_count() -> int:
+    """Number of CPU threads used for kernels: `GRASPMATCH_THREADS`, else the cores this process may run on."""
+    return int(os.environ.get("GRASPMATCH_THREADS", 0)) or len(os.sched_getaffinity(0))
+
+
+def launch(kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence[Any], device: str) -> None:
+    """Run `kernel(first, *inputs, *outputs)` for elements 0 to `dim`, on all cores or on the GPU."""
+    if dim == 0:
+        return
+    threads = min(thread_count(), dim) if device == "cpu" else 1
+    if threads == 1:
+        wp.launch(kernel, dim, inputs=[0, *inputs], outputs=list(outputs), device=device)
+        return
+    kernel.module.load(wp.get_device(device))
+    bounds = [dim * i // threads for i in range(threads + 1)]
+    jobs = [
+        _pool(threads).submit(
+            wp.launch, kernel, end - start, inputs=[start, *inputs], outputs=list(outputs), device=device
+        )
+        for start, end in zip(bounds, bounds[1:], strict=False)
+    ]
+    for job in jobs:
+        job.result()

@@ -1,0 +1,171 @@
+"""The paper's equations in NumPy, float64, one particle at a time, written to be read: the definition of right.
+
+theta is (t, q): t the position of the origin of the samples [m], q the unit quaternion wxyz. Samples s are in the frame
+that theta poses, targets r in the object frame. Gradients are half those of the losses, as the paper writes them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from graspmatch.geometry import se3
+
+Array = np.ndarray
+
+
+def pairs(moved: Float[Array, "m 3"], target: Float[Array, "n 3"]) -> Float[Array, "m 3"]:
+    """Eq. (1): for each moved sample s' the nearest target point."""
+    distance = np.linalg.norm(moved[:, None] - target[None], axis=-1)
+    return target[np.argmin(distance, axis=1)]
+
+
+def matching_loss(moved: Float[Array, "m 3"], paired: Float[Array, "m 3"]) -> float:
+    """Eq. (14): mean squared distance of the pairs [m2]."""
+    return float(np.mean(np.sum((moved - paired) ** 2, axis=-1)))
+
+
+def com_loss(
+    t: Float[Array, "3"], q: Float[Array, "4"], tool_centre_point: Float[Array, "3"], com: Float[Array, "3"]
+) -> float:
+    """Eq. (15): squared distance of tool centre point and centre of mass [m2]."""
+    return float(np.sum((se3.matrix_from_quaternion(q) @ tool_centre_point + t - com) ** 2))
+
+
+def rotation_derivative(q: Float[Array, "4"]) -> Float[Array, "4 3 3"]:
+    """dR/dq for each component of a quaternion, R homogeneous of degree two in q (paper, ref. c341)."""
+    w, x, y, z = q
+    return 2 * np.array(
+        [
+            [[w, -z, y], [z, w, -x], [-y, x, w]],
+            [[x, y, z], [y, -x, -w], [z, w, -x]],
+            [[-y, x, w], [x, y, z], [-w, z, -y]],
+            [[-z, -w, x], [w, -z, y], [x, y, z]],
+        ]
+    )
+
+
+def homogeneous_rotation(q: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """R(q) without the constraint |q| = 1, the function that `rotation_derivative` differentiates."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+
+
+def matching_gradients(
+    t: Float[Array, "3"], q: Float[Array, "4"], samples: Float[Array, "m 3"], paired: Float[Array, "m 3"]
+) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
+    """Eqs. (4) and (5): mean gradients by t and by q."""
+    residual = samples @ se3.matrix_from_quaternion(q).T + t - paired
+    by_q = np.einsum("ni,kij,nj->k", residual, rotation_derivative(q), samples) / len(samples)
+    return residual.mean(axis=0), by_q
+
+
+def grasp_gradients(
+    t: Float[Array, "3"],
+    q: Float[Array, "4"],
+    samples: Float[Array, "m 3"],
+    paired: Float[Array, "m 3"],
+    tool_centre_point: Float[Array, "3"],
+    com: Float[Array, "3"],
+    com_weight: float,
+) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
+    """Eqs. (16) and (17), the centre-of-mass pair weighted: 1/m as printed, 1 for the gradient of the loss (13)."""
+    by_t, by_q = matching_gradients(t, q, samples, paired)
+    com_by_t, com_by_q = matching_gradients(t, q, tool_centre_point[None], com[None])
+    return by_t + com_weight * com_by_t, by_q + com_weight * com_by_q
+
+
+def tangent(q: Float[Array, "4"], by_q: Float[Array, "4"]) -> Float[Array, "3"]:
+    """A gradient by q as one by the rotation vector w of q <- exp(w) q, object frame."""
+    w, x, y, z = q
+    dq_dw = 0.5 * np.array([[-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w]])
+    return dq_dw.T @ by_q
+
+
+def colliding_points(
+    t: Float[Array, "3"], q: Float[Array, "4"], scene: Float[Array, "n 3"], distance
+) -> tuple[Float[Array, "c 3"], Float[Array, "c 3"]]:
+    """Eq. (12): the scene by the inverse transform in the hand's frame; its points inside the hand, in both frames.
+
+    `distance` is the hand's signed distance as a function of points, negative inside.
+    """
+    in_hand = (scene - t) @ se3.matrix_from_quaternion(q)
+    inside = distance(in_hand) < 0
+    return scene[inside], in_hand[inside]
+
+
+def collision_gradients(
+    t: Float[Array, "3"],
+    q: Float[Array, "4"],
+    samples: Float[Array, "m 3"],
+    inside_object: Float[Array, "c 3"],
+    inside_hand: Float[Array, "c 3"],
+) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
+    """Eqs. (4), (5) of the loss (18): each colliding point and the inner surface nearest to it."""
+    return matching_gradients(t, q, pairs(inside_hand, samples), inside_object)
+
+
+def translation_kernel(a: Float[Array, "3"], b: Float[Array, "3"], h: float) -> float:
+    """Eq. (9)."""
+    return float(np.exp(-np.sum((a - b) ** 2) / h))
+
+
+def rotation_kernel(a: Float[Array, "4"], b: Float[Array, "4"]) -> float:
+    """Eq. (10)."""
+    return float(abs(a @ b))
+
+
+def bandwidth(positions: Float[Array, "k 3"]) -> float:
+    """h of eq. (9): the mean squared distance of the particles over log(K + 1)."""
+    apart = positions[:, None] - positions[None]
+    return max(float(np.mean(np.sum(apart**2, axis=-1)) / np.log(len(positions) + 1)), 1e-8)
+
+
+def rotation_apart(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "3"]:
+    """Gradient of the kernel (10) along the sphere, as the rotation vector that takes b away from a: sin(angle) axis."""
+    conjugate = a * np.array([1, -1, -1, -1])
+    w, *v = se3.quaternion_multiply(b, conjugate)
+    return 2 * w * np.array(v)
+
+
+def stein_directions(
+    positions: Float[Array, "k 3"],
+    rotations: Float[Array, "k 4"],
+    drift_position: Float[Array, "k 3"],
+    drift_rotation: Float[Array, "k 3"],
+    gamma: float,
+    repulsion: float,
+    inverse_hessian: Float[Array, "k 3 3"],
+    n: int,
+) -> tuple[Float[Array, "k 3"], Float[Array, "k 3"]]:
+    """Eq. (8) times A/N, over the kernel's mass: the step of each particle's position and rotation vector.
+
+    `drift` is A (N g + grad of the negative log prior) / N of each particle, `inverse_hessian` the rotational block of A.
+    """
+    h = bandwidth(positions)
+    moves, spins = np.zeros_like(drift_position), np.zeros_like(drift_rotation)
+    for i in range(len(positions)):
+        k_t = np.array([translation_kernel(p, positions[i], h) for p in positions])
+        k_w = np.array([rotation_kernel(q, rotations[i]) for q in rotations])
+        away_t = np.sum(2 / h * k_t[:, None] * (positions[i] - positions), axis=0)
+        away_w = np.sum([rotation_apart(q, rotations[i]) for q in rotations], axis=0)
+        moves[i] = (-gamma * k_t @ drift_position + repulsion * away_t / n) / k_t.sum()
+        spins[i] = (-gamma * k_w @ drift_rotation + repulsion * inverse_hessian[i] @ away_w / n) / k_w.sum()
+    return moves, spins
+
+
+def align(
+    samples: Float[Array, "n 3"], paired: Float[Array, "n 3"], weights: Float[Array, "n"]
+) -> Float[Array, "4 4"]:
+    """Eq. (2) in closed form: the rigid transform of least weighted squares, by SVD (Arun et al. 1987)."""
+    w = weights / weights.sum()
+    source, goal = w @ samples, w @ paired
+    U, _, Vt = np.linalg.svd((w[:, None] * (paired - goal)).T @ (samples - source))
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt
+    return se3.from_parts(R, goal - R @ source)

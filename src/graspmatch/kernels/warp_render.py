@@ -1,0 +1,352 @@
+"""A small ray tracer: primary rays, light gathered at the hits, shading with an edge-aware average of that light.
+
+Four samples a pixel, on a rotated grid. Each sample casts a few rays only: 64 patterns of ray directions repeat over
+tiles of 8 x 8 samples, and shading averages the light over such a tile, on the same surface. So the average holds every
+pattern once and there is no noise to see. All positions are in the world frame, lengths in metres, colours linear.
+Elements of a launch are samples (of `shade`: pixels), row by row. Rows are visited in strides of `row_stride`, coprime
+to their number, so that equal shares of a launch cost about the same: the sky on top is cheap, the hand is not.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+BACKGROUND = wp.constant(-1)
+FLOOR = wp.constant(-2)
+SKY_RAYS = wp.constant(2)
+TILE = wp.constant(8)
+FAR = wp.constant(1.0e6)
+GOLDEN = wp.constant(0.61803398875)
+GHOST_LAYERS = wp.constant(4)
+
+
+@wp.struct
+class View:
+    """A pinhole camera; the ray through pixel coordinates (x, y) is corner + x * right + y * down."""
+
+    origin: wp.vec3
+    corner: wp.vec3
+    right: wp.vec3
+    down: wp.vec3
+    width: int
+    height: int
+    row_stride: int
+
+
+@wp.struct
+class Setting:
+    """Light and surroundings, scaled to what is shown."""
+
+    sun: wp.vec3  # towards the light
+    sun_radius: float  # tangent of the half angle of the light: how soft shadows are
+    sun_colour: wp.vec3
+    sky_colour: wp.vec3
+    reach: float  # how far occluders of the sky matter
+    lift: float  # how far rays start from their surface
+    top_colour: wp.vec3  # of the background
+    bottom_colour: wp.vec3
+    has_floor: int
+    up: wp.vec3
+    floor_offset: float
+    floor_centre: wp.vec3
+    floor_radius: float  # where the floor has half faded into the background
+    floor_colour: wp.vec3
+
+
+@wp.func
+def place(element: int, columns: int, rows: int, stride: int) -> wp.vec2i:
+    """Column and row of an element of a launch."""
+    return wp.vec2i(element % columns, (element // columns) * stride % rows)
+
+
+@wp.func
+def ray_direction(view: View, sample_x: int, sample_y: int) -> wp.vec3:
+    """Of one of the 2 x 2 samples of a pixel: rotated by 27 degrees, so that steep edges have four levels too."""
+    quarter_x = float(sample_x % 2)
+    quarter_y = float(sample_y % 2)
+    x = float(sample_x // 2) + 0.375 + 0.5 * quarter_x - 0.25 * quarter_y
+    y = float(sample_y // 2) + 0.125 + 0.5 * quarter_y + 0.25 * quarter_x
+    return wp.normalize(view.corner + x * view.right + y * view.down)
+
+
+@wp.func
+def pattern_rank(sample_x: int, sample_y: int) -> int:
+    """Place of a sample in its tile as a Bayer matrix orders them: near samples get patterns far apart."""
+    rank = int(0)
+    for bit in range(3):
+        x = (sample_x >> bit) & 1
+        y = (sample_y >> bit) & 1
+        rank = rank * 4 + (x ^ y) * 2 + y
+    return rank
+
+
+@wp.func
+def perpendicular(n: wp.vec3) -> wp.vec3:
+    if wp.abs(n[2]) < 0.7:
+        return wp.normalize(wp.cross(n, wp.vec3(0.0, 0.0, 1.0)))
+    return wp.normalize(wp.cross(n, wp.vec3(1.0, 0.0, 0.0)))
+
+
+@wp.func
+def towards_tangent_plane(p: wp.vec3, corner: wp.vec3, normal: wp.vec3) -> wp.vec3:
+    return p - wp.min(wp.dot(p - corner, normal), 0.0) * normal
+
+
+@wp.func
+def fraction(x: float) -> float:
+    return x - wp.floor(x)
+
+
+@wp.func
+def smoothstep(low: float, high: float, x: float) -> float:
+    t = wp.clamp((x - low) / (high - low), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+@wp.kernel
+def find_surfaces(
+    first: int,
+    mesh: wp.uint64,
+    face_body: wp.array(dtype=int),
+    corner_normals: wp.array2d(dtype=wp.vec3),
+    view: View,
+    setting: Setting,
+    body_out: wp.array2d(dtype=int),
+    position_out: wp.array2d(dtype=wp.vec3),
+    normal_out: wp.array2d(dtype=wp.vec3),
+):
+    """What each sample sees: index of the body, where (a little above the surface) and the shading normal."""
+    at = place(wp.tid() + first, body_out.shape[1], body_out.shape[0], view.row_stride)
+    x = at[0]
+    y = at[1]
+    d = ray_direction(view, x, y)
+    body = BACKGROUND
+    position = wp.vec3()
+    normal = wp.vec3()
+    t = FAR
+    facing = wp.dot(d, setting.up)
+    if setting.has_floor == 1 and facing < -1.0e-6:
+        s = (setting.floor_offset - wp.dot(view.origin, setting.up)) / facing
+        if s > 0.0:
+            t = s
+            body = FLOOR
+            normal = setting.up
+            position = view.origin + s * d + setting.lift * normal
+    hit = wp.mesh_query_ray(mesh, view.origin, d, t)
+    if hit.result:
+        body = face_body[hit.face]
+        w = 1.0 - hit.u - hit.v
+        n0 = corner_normals[hit.face, 0]
+        n1 = corner_normals[hit.face, 1]
+        n2 = corner_normals[hit.face, 2]
+        normal = wp.normalize(hit.u * n0 + hit.v * n1 + w * n2)
+        # Start light rays from the smooth surface that the normals pretend, so that flat facets cast no shadow on
+        # themselves where the light grazes (Hanika 2021).
+        p = view.origin + hit.t * d
+        g = hit.normal
+        p0 = towards_tangent_plane(p, wp.mesh_get_point(mesh, 3 * hit.face), n0)
+        p1 = towards_tangent_plane(p, wp.mesh_get_point(mesh, 3 * hit.face + 1), n1)
+        p2 = towards_tangent_plane(p, wp.mesh_get_point(mesh, 3 * hit.face + 2), n2)
+        if wp.dot(g, d) > 0.0:  # the back of an open scan
+            g = -g
+            normal = -normal
+            position = p
+        else:
+            position = hit.u * p0 + hit.v * p1 + w * p2
+        position = position + setting.lift * g
+    body_out[y, x] = body
+    position_out[y, x] = position
+    normal_out[y, x] = normal
+
+
+@wp.kernel
+def gather_light(
+    first: int,
+    mesh: wp.uint64,
+    view: View,
+    setting: Setting,
+    body_in: wp.array2d(dtype=int),
+    position_in: wp.array2d(dtype=wp.vec3),
+    normal_in: wp.array2d(dtype=wp.vec3),
+    light_out: wp.array2d(dtype=wp.vec2),
+):
+    """Light that this sample's few rays find: visible share of the sun, and brightness of the sky."""
+    at = place(wp.tid() + first, body_in.shape[1], body_in.shape[0], view.row_stride)
+    x = at[0]
+    y = at[1]
+    if body_in[y, x] == BACKGROUND:
+        return
+    p = position_in[y, x]
+    n = normal_in[y, x]
+    rank = pattern_rank(x, y)
+
+    sun = float(0.0)
+    if wp.dot(n, setting.sun) > 0.0:
+        radius = setting.sun_radius * wp.sqrt((float(rank) + 0.5) / float(TILE * TILE))
+        angle = 2.0 * wp.pi * fraction(float(rank) * GOLDEN)
+        a = perpendicular(setting.sun)
+        b = wp.cross(setting.sun, a)
+        d = wp.normalize(setting.sun + radius * (wp.cos(angle) * a + wp.sin(angle) * b))
+        if not wp.mesh_query_ray_anyhit(mesh, p, d, FAR):
+            sun = 1.0
+
+    sky = float(0.0)
+    a = perpendicular(n)
+    b = wp.cross(n, a)
+    for k in range(SKY_RAYS):
+        index = float(rank * SKY_RAYS + k)
+        u = (index + 0.5) / float(TILE * TILE * SKY_RAYS)
+        angle = 2.0 * wp.pi * fraction(index * GOLDEN)
+        r = wp.sqrt(u)
+        d = r * wp.cos(angle) * a + r * wp.sin(angle) * b + wp.sqrt(1.0 - u) * n
+        if not wp.mesh_query_ray_anyhit(mesh, p, d, setting.reach):
+            height = wp.dot(d, setting.up)
+            brightness = 0.8 + 0.2 * height
+            if height < 0.0 and setting.has_floor == 1:
+                # Light that the floor sends back; near contact the floor itself lies in the shade.
+                s = (setting.floor_offset - wp.dot(p, setting.up)) / height
+                brightness = 0.6 * smoothstep(0.0, 0.5 * setting.reach, wp.max(s, 0.0)) + 0.08
+            elif height < 0.0:
+                brightness = 0.8 + 0.5 * height
+            sky += brightness
+    light_out[y, x] = wp.vec2(sun, sky / float(SKY_RAYS))
+
+
+@wp.func
+def average_light(
+    x: int,
+    y: int,
+    lift: float,
+    body_in: wp.array2d(dtype=int),
+    position_in: wp.array2d(dtype=wp.vec3),
+    normal_in: wp.array2d(dtype=wp.vec3),
+    light_in: wp.array2d(dtype=wp.vec2),
+) -> wp.vec2:
+    """Mean over the tile around the sample's pixel, of samples on the same body, in the same plane."""
+    body = body_in[y, x]
+    p = position_in[y, x]
+    n = normal_in[y, x]
+    left = x - x % 2 - TILE // 2 + 1
+    top = y - y % 2 - TILE // 2 + 1
+    total = wp.vec2()
+    count = float(0.0)
+    for j in range(wp.max(top, 0), wp.min(top + TILE, body_in.shape[0])):
+        for i in range(wp.max(left, 0), wp.min(left + TILE, body_in.shape[1])):
+            if body_in[j, i] == body:
+                step = position_in[j, i] - p
+                # Slope against the tangent plane; the lift keeps rounding from mattering at small steps.
+                if wp.dot(normal_in[j, i], n) > 0.8 and wp.abs(wp.dot(step, n)) < 0.35 * wp.length(step) + lift:
+                    total += light_in[j, i]
+                    count += 1.0
+    return total / wp.max(count, 1.0)
+
+
+@wp.func
+def reflected(albedo: wp.vec3, n: wp.vec3, d: wp.vec3, sun: float, sky: float, setting: Setting) -> wp.vec3:
+    """Radiance that a satin surface sends back along -d."""
+    facing = wp.max(wp.dot(n, setting.sun), 0.0) * sun
+    diffuse = wp.cw_mul(albedo, facing * setting.sun_colour + sky * setting.sky_colour)
+    half = wp.normalize(setting.sun - d)
+    highlight = 0.22 * wp.pow(wp.max(wp.dot(n, half), 0.0), 60.0) * facing
+    graze = 1.0 - wp.clamp(-wp.dot(n, d), 0.0, 1.0)
+    mirror = (0.03 + 0.25 * graze * graze * graze * graze) * sky
+    return diffuse + highlight * setting.sun_colour + mirror * setting.sky_colour
+
+
+@wp.func
+def floor_radiance(p: wp.vec3, sun: float, sky: float, behind: wp.vec3, setting: Setting) -> wp.vec3:
+    """The floor's colour, darkened by the share of light that is kept from it, fading into the background."""
+    facing = wp.dot(setting.up, setting.sun)
+    open_sky = 0.8 + 0.2 * 2.0 / 3.0  # what the cosine-weighted rays of `gather_light` find with nothing in the way
+    lit = facing * sun * setting.sun_colour + sky * setting.sky_colour
+    unshaded = facing * setting.sun_colour + open_sky * setting.sky_colour
+    colour = wp.cw_mul(setting.floor_colour, wp.cw_div(lit, unshaded))
+    distance = wp.length(p - setting.floor_centre) / setting.floor_radius
+    return wp.lerp(colour, behind, smoothstep(0.45, 1.55, distance))
+
+
+@wp.func
+def seen_through_ghosts(
+    behind: wp.vec3,
+    depth: float,
+    d: wp.vec3,
+    view: View,
+    setting: Setting,
+    ghosts: wp.array(dtype=wp.uint64),
+    ghost_rgba: wp.array(dtype=wp.vec4),
+) -> wp.vec3:
+    """`behind` at `depth`, blended with the nearest surface of each translucent body before it, nearest on top."""
+    colour = wp.vec3()
+    clear = float(1.0)
+    last = float(-1.0)
+    for _layer in range(GHOST_LAYERS):
+        nearest = depth
+        index = int(-1)
+        normal = wp.vec3()
+        for k in range(ghosts.shape[0]):
+            hit = wp.mesh_query_ray(ghosts[k], view.origin, d, nearest)
+            if hit.result and hit.t > last:
+                nearest = hit.t
+                index = k
+                normal = hit.normal
+        if index < 0:
+            break
+        last = nearest
+        if wp.dot(normal, d) > 0.0:
+            normal = -normal
+        rgba = ghost_rgba[index]
+        graze = 1.0 + wp.dot(normal, d)
+        alpha = rgba[3] + (1.0 - rgba[3]) * 0.5 * graze * graze * graze
+        albedo = wp.vec3(rgba[0], rgba[1], rgba[2])
+        colour += clear * alpha * reflected(albedo, normal, d, 1.0, 0.8, setting)
+        clear *= 1.0 - alpha
+    return colour + clear * behind
+
+
+@wp.func
+def encoded(x: float) -> float:
+    """Display value 0 to 255 of a linear one: soft shoulder, then the sRGB curve."""
+    if x > 0.75:
+        x = 0.75 + 0.25 * (1.0 - wp.exp(-(x - 0.75) / 0.25))
+    if x < 0.0031308:
+        return 255.0 * 12.92 * x
+    return 255.0 * (1.055 * wp.pow(x, 1.0 / 2.4) - 0.055)
+
+
+@wp.kernel
+def shade(
+    first: int,
+    view: View,
+    setting: Setting,
+    body_rgb: wp.array(dtype=wp.vec3),
+    ghosts: wp.array(dtype=wp.uint64),
+    ghost_rgba: wp.array(dtype=wp.vec4),
+    body_in: wp.array2d(dtype=int),
+    position_in: wp.array2d(dtype=wp.vec3),
+    normal_in: wp.array2d(dtype=wp.vec3),
+    light_in: wp.array2d(dtype=wp.vec2),
+    image_out: wp.array3d(dtype=wp.uint8),
+):
+    """Each pixel from its four samples."""
+    at = place(wp.tid() + first, view.width, view.height, view.row_stride)
+    column = at[0]
+    line = at[1]
+    behind = wp.lerp(setting.top_colour, setting.bottom_colour, (float(line) + 0.5) / float(view.height))
+    total = wp.vec3()
+    for k in range(4):
+        x = 2 * column + k % 2
+        y = 2 * line + k // 2
+        d = ray_direction(view, x, y)
+        body = body_in[y, x]
+        colour = behind
+        depth = FAR
+        if body != BACKGROUND:
+            light = average_light(x, y, setting.lift, body_in, position_in, normal_in, light_in)
+            depth = wp.length(position_in[y, x] - view.origin)
+            if body == FLOOR:
+                colour = floor_radiance(position_in[y, x], light[0], light[1], behind, setting)
+            else:
+                colour = reflected(body_rgb[body], normal_in[y, x], d, light[0], light[1], setting)
+        total += seen_through_ghosts(colour, depth, d, view, setting, ghosts, ghost_rgba)
+    for c in range(3):
+        image_out[line, column, c] = wp.uint8(wp.clamp(encoded(0.25 * total[c]) + 0.5, 0.0, 255.0))

@@ -1,0 +1,61 @@
+"""What passes from stage to stage: poses of preshapes, and what was found out about them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from graspmatch.geometry import se3
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """n poses of the hand in one of its preshapes."""
+
+    preshape: Int[Array, "n"]
+    T_world_gripper: Float[Array, "n 4 4"]
+
+    def __len__(self) -> int:
+        return len(self.preshape)
+
+    def select(self, keep: Array) -> Self:
+        """The candidates of a mask or an index array."""
+        return replace(self, **{f.name: getattr(self, f.name)[keep] for f in fields(self)})
+
+    def quaternions_xyzw(self) -> Float[Array, "n 4"]:
+        """Rotations as Warp writes them."""
+        return np.roll(se3.quaternion_from_matrix(self.T_world_gripper[:, :3, :3]), -1, axis=-1)
+
+
+@dataclass(frozen=True)
+class Matched(Candidates):
+    """After Algorithm 1."""
+
+    matching_error: Float[Array, "n"]
+    """Eq. (14) over all samples [m2]."""
+    loss: Float[Array, "n"]
+    """Eq. (13) [m2]."""
+    is_converged: Array
+
+
+@dataclass(frozen=True)
+class Free(Matched):
+    """After the collision stage: hand and approach are clear."""
+
+    clearance: Float[Array, "n"]
+    retreat: Float[Array, "n"]
+    """How far the match was backed off along its approach [m]."""
+
+
+@dataclass(frozen=True)
+class Closed(Free):
+    """After closing the fingers."""
+
+    closing_fraction: Float[Array, "n f"]
+    """Where on its closing motion each finger first meets the object; above 1 where it never does."""
+    grasp_joints: Float[Array, "n d"]

@@ -1,0 +1,247 @@
+"""Parallel shape matching: Algorithm 1 of the paper, all particles of all preshapes at once.
+
+Where the paper leaves a choice, `docs/method.md` says which was taken and why. Poses are optimised in the object frame:
+world axes, origin at the centre of mass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float, Int
+
+from graspmatch.config import MatchingConfig
+from graspmatch.geometry import se3
+from graspmatch.geometry.cloud import voxel_downsample
+from graspmatch.kernels import warp_match
+from graspmatch.kernels.fields import covering_nearest_field, stack_fields
+from graspmatch.kernels.launch import launch
+from graspmatch.kernels.warp_fields import NearestField
+from graspmatch.planner.candidates import Candidates, Matched
+from graspmatch.planner.surroundings import collision_cloud
+from graspmatch.scene.scene import Scene
+from graspmatch.types import Gripper, Preshape
+
+FIELD_MARGIN = 0.03
+"""How far the nearest-neighbour field reaches beyond the target [m]; farther samples use its border."""
+FIELD_NODES = 96
+"""At most so many nodes along one axis: larger objects get a coarser field."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Scene and hand on the device: everything that stays the same from iteration to iteration."""
+
+    hand: warp_match.Hand
+    samples: Int[np.ndarray, "p"]
+    """Number of samples of each preshape."""
+    pivots: Float[np.ndarray, "p 3"]
+    """The point of each preshape that particles translate and turn about: its tool centre point [m]."""
+    centre_of_mass: Float[np.ndarray, "3"]
+    """Origin of the object frame in the world [m]."""
+    target_points: Float[np.ndarray, "n 3"]
+    """R, in the object frame [m]."""
+    target: NearestField
+    surroundings: wp.array
+    """C, in the object frame."""
+    terms: warp_match.Terms
+    device: str
+
+
+def prepare(
+    scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.random.Generator, device: str
+) -> Problem:
+    """Thin the clouds, build the nearest-neighbour field, upload the hand."""
+    target_points = voxel_downsample(scene.target.points - scene.centre_of_mass, config.voxel_size)[0]
+    surroundings = collision_cloud(scene, config.collision_voxel_size) - scene.centre_of_mass
+    hand, samples = upload_hand(gripper.preshapes, rng, device)
+    return Problem(
+        hand=hand,
+        samples=samples,
+        pivots=np.array([preshape.tool_centre_point for preshape in gripper.preshapes]),
+        centre_of_mass=scene.centre_of_mass,
+        target_points=target_points,
+        target=nearest_to(target_points, config, device),
+        surroundings=wp.array(surroundings, dtype=wp.vec3, device=device),
+        terms=terms_of(config),
+        device=device,
+    )
+
+
+def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.random.Generator) -> Matched:
+    """Algorithm 1: every start, matched to the target."""
+    particles = upload_particles(starts, problem)
+    stein_iterations = stein_phase(config)
+    for k in range(1, config.iterations + 1):
+        share = batch_share(k, config)
+        if config.batch_from == "object":
+            target = nearest_to(object_batch(problem.target_points, share, rng), config, problem.device)
+            batch = whole_batch(problem.samples)
+        else:
+            target, batch = problem.target, mini_batch(problem.samples, share, rng)
+        gradients(problem, particles, target, batch, settle=k > stein_iterations)  # eqs. (16)-(18)
+        if k <= stein_iterations:
+            stein_step(problem, particles, starts, annealing(k, config))  # eqs. (7), (8)
+        elif config.method == "icp":
+            step(warp_match.align, problem, particles, [problem.hand, target])  # eq. (2)
+        else:
+            step(warp_match.descend, problem, particles, [])  # eq. (3)
+    return measured(particles, starts, problem)
+
+
+def measured(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
+    """The particles' poses in the world, and their loss over all samples."""
+    is_converged = particles.is_converged.numpy().astype(bool)
+    particles.is_converged.zero_()
+    gradients(problem, particles, problem.target, whole_batch(problem.samples), settle=False)
+    rotation = se3.matrix_from_quaternion(np.roll(particles.rotation.numpy().astype(float), 1, axis=-1))
+    position = particles.position.numpy().astype(float) + problem.centre_of_mass
+    lever = np.einsum("nij,nj->ni", rotation, problem.pivots[starts.preshape])
+    return Matched(
+        preshape=starts.preshape,
+        T_world_gripper=se3.from_parts(rotation, position - lever),
+        matching_error=particles.matching_error.numpy().astype(float),
+        loss=particles.loss.numpy().astype(float),
+        is_converged=is_converged,
+    )
+
+
+def measure(candidates: Candidates, problem: Problem) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Matching error (14) and loss (13) of poses as they are [m2]."""
+    found = measured(upload_particles(candidates, problem), candidates, problem)
+    return found.matching_error, found.loss
+
+
+def stein_phase(config: MatchingConfig) -> int:
+    """k_stein, or zero for the methods without particles that know of each other."""
+    return config.stein_iterations if config.method in ("stein-icp", "annealed-stein-icp") else 0
+
+
+def annealing(k: int, config: MatchingConfig) -> float:
+    """gamma(k), eq. (11) with Table I; one without annealing."""
+    if config.method != "annealed-stein-icp":
+        return 1.0
+    cycle = config.iterations / config.annealing_cycles
+    return float((k % cycle) / cycle) ** config.annealing_exponent
+
+
+def batch_share(k: int, config: MatchingConfig) -> float:
+    """Size of the mini-batch, as a share of the whole: it grows over two thirds of the iterations (Table I)."""
+    ramp = 2 * config.iterations / 3
+    return min(k, ramp) / ramp if config.method != "icp" else 1.0
+
+
+def mini_batch(
+    samples: Int[np.ndarray, "p"], share: float, rng: np.random.Generator
+) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
+    """First sample and number of samples of each preshape's batch: a window of its shuffled samples."""
+    return rng.integers(samples), np.ceil(share * samples).astype(int)
+
+
+def whole_batch(samples: Int[np.ndarray, "p"]) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
+    """All samples of every preshape."""
+    return np.zeros_like(samples), samples
+
+
+def object_batch(
+    points: Float[np.ndarray, "n 3"], share: float, rng: np.random.Generator
+) -> Float[np.ndarray, "m 3"]:
+    """A random subset of R, at least one point."""
+    return points[rng.permutation(len(points))[: max(int(np.ceil(share * len(points))), 1)]]
+
+
+def gradients(problem: Problem, particles: warp_match.Particles, target: NearestField, batch, *, settle: bool) -> None:
+    """One pass of eqs. (16)-(18); `settle` lets particles converge."""
+    offset, size = (wp.array(part, dtype=wp.int32, device=problem.device) for part in batch)
+    inputs = [problem.hand, target, problem.surroundings, problem.terms, offset, size, int(settle), particles]
+    launch(warp_match.gradients, particles.preshape.shape[0], inputs, [], problem.device)
+
+
+def step(kernel: wp.Kernel, problem: Problem, particles: warp_match.Particles, inputs: list) -> None:
+    """One update of every particle by itself."""
+    launch(kernel, particles.preshape.shape[0], [*inputs, problem.terms, particles], [], problem.device)
+
+
+def stein_step(problem: Problem, particles: warp_match.Particles, starts: Candidates, gamma: float) -> None:
+    """One SVGD update of all particles, each with the others of its preshape."""
+    preshapes = np.arange(len(problem.samples))
+    begin, end = (np.searchsorted(starts.preshape, preshapes, side) for side in ("left", "right"))
+    group = [wp.array(part, dtype=wp.int32, device=problem.device) for part in (begin, end - begin)]
+    moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
+    inputs = [gamma, problem.terms, problem.hand, *group, particles]
+    launch(warp_match.stein, len(starts), inputs, moved, problem.device)
+    particles.position, particles.rotation = moved
+
+
+def nearest_to(points: Float[np.ndarray, "n 3"], config: MatchingConfig, device: str) -> NearestField:
+    """The nearest-neighbour field of (a mini-batch of) the target."""
+    return covering_nearest_field(points, config.voxel_size, FIELD_MARGIN, FIELD_NODES, device)
+
+
+def terms_of(config: MatchingConfig) -> warp_match.Terms:
+    """The weights of the loss; the centre of mass is the origin of the object frame."""
+    terms = warp_match.Terms()
+    terms.com = wp.vec3(0.0, 0.0, 0.0)
+    terms.com_weight = config.com_weight
+    terms.com_gradient_weight = config.com_weight if config.com_gradient == "loss" else -1.0
+    terms.repulsion = config.repulsion
+    terms.prior_precision = config.prior_translation**-2
+    terms.prior_concentration = config.prior_concentration
+    terms.learning_rate = config.learning_rate
+    terms.convergence = config.convergence
+    return terms
+
+
+def upload_hand(
+    preshapes: tuple[Preshape, ...], rng: np.random.Generator, device: str
+) -> tuple[warp_match.Hand, Int[np.ndarray, "p"]]:
+    """Samples about their pivots, shuffled so that every window is a random batch, and the fields of the hand."""
+    pivots = [preshape.tool_centre_point for preshape in preshapes]
+    orders = [rng.permutation(len(preshape.weights)) for preshape in preshapes]
+    samples = [(p.samples.points - pivot)[o] for p, pivot, o in zip(preshapes, pivots, orders, strict=True)]
+    weights = [preshape.weights[order] for preshape, order in zip(preshapes, orders, strict=True)]
+    counts = np.array([len(s) for s in samples])
+    inertia = [inverse_inertia(s, w) for s, w in zip(samples, weights, strict=True)]
+    nearest = [np.argsort(o)[p.nearest_sample].ravel() for p, o in zip(preshapes, orders, strict=True)]
+    hand = warp_match.Hand()
+    hand.samples = wp.array(np.concatenate(samples), dtype=wp.vec3, device=device)
+    hand.weights = wp.array(np.concatenate(weights), dtype=wp.float32, device=device)
+    hand.start = wp.array(np.cumsum([0, *counts[:-1]]), dtype=wp.int32, device=device)
+    hand.count = wp.array(counts, dtype=wp.int32, device=device)
+    hand.tool_centre_point = wp.zeros(len(preshapes), dtype=wp.vec3, device=device)
+    hand.inverse_inertia = wp.array(np.array(inertia), dtype=wp.mat33, device=device)
+    shifted = [p.hand.shifted(-pivot) for p, pivot in zip(preshapes, pivots, strict=True)]
+    hand.distance = stack_fields(shifted, device)
+    hand.nearest_sample = wp.array(np.concatenate(nearest), dtype=wp.int32, device=device)
+    return hand, counts
+
+
+def inverse_inertia(points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"]:
+    """Rotational block of A in eq. (3): inverse of the Gauss-Newton matrix sum w (|s|^2 I - s s^T) / sum w [1/m2].
+
+    A millionth of a square metre keeps it finite for samples on a line.
+    """
+    second = np.einsum("n,ni,nj->ij", weights, points, points) / weights.sum()
+    return np.linalg.inv((np.trace(second) + 1e-6) * np.eye(3) - second)
+
+
+def upload_particles(starts: Candidates, problem: Problem) -> warp_match.Particles:
+    """The pivots' poses in the object frame, and room for what the kernels find."""
+    lever = np.einsum("nij,nj->ni", starts.T_world_gripper[:, :3, :3], problem.pivots[starts.preshape])
+    position = starts.T_world_gripper[:, :3, 3] + lever - problem.centre_of_mass
+    n, device = len(starts), problem.device
+    particles = warp_match.Particles()
+    particles.preshape = wp.array(starts.preshape, dtype=wp.int32, device=device)
+    particles.position = wp.array(position, dtype=wp.vec3, device=device)
+    particles.rotation = wp.array(starts.quaternions_xyzw(), dtype=wp.quat, device=device)
+    particles.seed_position = wp.clone(particles.position)
+    particles.seed_rotation = wp.clone(particles.rotation)
+    particles.gradient_position = wp.zeros(n, dtype=wp.vec3, device=device)
+    particles.gradient_rotation = wp.zeros(n, dtype=wp.vec3, device=device)
+    particles.matching_error = wp.zeros(n, dtype=wp.float32, device=device)
+    particles.loss = wp.zeros(n, dtype=wp.float32, device=device)
+    particles.colliding = wp.zeros(n, dtype=wp.int32, device=device)
+    particles.is_converged = wp.zeros(n, dtype=wp.int32, device=device)
+    return particles

@@ -1,0 +1,118 @@
+"""From a scene and a gripper to ranked grasps: each line of `plan` is a stage, and each stage is a file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from importlib.metadata import version
+
+import numpy as np
+from jaxtyping import Float
+
+from graspmatch.config import PlannerConfig
+from graspmatch.geometry import se3
+from graspmatch.kernels.launch import resolve_device
+from graspmatch.planner.avoid import keep_free
+from graspmatch.planner.candidates import Closed
+from graspmatch.planner.close import close_fingers
+from graspmatch.planner.match import match, measure, prepare
+from graspmatch.planner.rank import rank
+from graspmatch.planner.seed import pose_seeds, seed_poses
+from graspmatch.planner.stopwatch import Stopwatch
+from graspmatch.planner.tally import Tally
+from graspmatch.scene.scene import Scene
+from graspmatch.types import GraspSet, Gripper, Provenance
+
+
+def plan(
+    scene: Scene,
+    gripper: Gripper,
+    config: PlannerConfig | None = None,
+    *,
+    starts_world_gripper: Float[np.ndarray, "n 4 4"] | None = None,
+) -> GraspSet:
+    """Ranked grasps, best first, in the frame of the scene's input; an empty set explains itself.
+
+    `starts_world_gripper` are poses to start from (another planner's, say) in place of the configured seeds.
+    Raises `GraspmatchError` for a device that is not there.
+    """
+    config = config or PlannerConfig()
+    device = resolve_device(config.device)
+    rng = np.random.default_rng(config.seed)
+    watch = Stopwatch()
+    if starts_world_gripper is None:
+        starts = seed_poses(scene, gripper, config.seeding, rng)
+    else:
+        starts = pose_seeds(starts_world_gripper, gripper)
+    tally = Tally(len(starts))
+    problem = prepare(scene, gripper, config.matching, rng, device)
+    watch.lap("prepare")
+    matched = match(starts, problem, config.matching, rng)  # Algorithm 1 of the paper
+    watch.lap("match")
+    free = keep_free(matched, scene, gripper, config.collision, device, tally)  # hand and approach sweep
+    watch.lap("avoid")
+    closed = close_fingers(free, scene, gripper, config.closing, device, tally)  # contacts and joint values
+    watch.lap("close")
+    error, loss = measure(closed, problem)  # at the poses that were backed off
+    order = rank(closed, loss, config.ranking, tally)
+    watch.lap("rank")
+    provenance = Provenance(
+        gripper=gripper.name,
+        gripper_hash=gripper.content_hash,
+        config=json.dumps(asdict(config)),
+        seed=config.seed,
+        device=device,
+        version=version("graspmatch"),
+        source=scene.source,
+        seconds=watch.seconds,
+    )
+    return grasp_set(closed.select(order), error[order], loss[order], gripper, tally, provenance)
+
+
+def grasp_set(
+    closed: Closed,
+    error: Float[np.ndarray, "n"],
+    loss: Float[np.ndarray, "n"],
+    gripper: Gripper,
+    tally: Tally,
+    provenance: Provenance,
+) -> GraspSet:
+    """The result, in the order given."""
+    pregrasp = np.array([preshape.joints for preshape in gripper.preshapes])
+    back = se3.translation(-gripper.approach_distance * gripper.approach)
+    return GraspSet(
+        joint_names=gripper.joint_names,
+        preshape_names=tuple(preshape.name for preshape in gripper.preshapes),
+        T_world_gripper=closed.T_world_gripper,
+        T_world_pregrasp=closed.T_world_gripper @ back,
+        preshape=closed.preshape,
+        pregrasp_joints=pregrasp[closed.preshape],
+        grasp_joints=closed.grasp_joints,
+        score=np.exp(-np.sqrt(loss) / LOSS_SCALE),
+        clearance=closed.clearance,
+        matching_error=error,
+        loss=loss,
+        fingers_touching=np.sum(closed.closing_fraction <= 1, axis=-1),
+        tally=tally.counts,
+        provenance=provenance,
+        advice="" if len(closed) else advice(tally, gripper),
+    )
+
+
+LOSS_SCALE = 0.05
+"""Root of the loss [m] at which the score has fallen to 1/e: half a hand's width."""
+
+
+def advice(tally: Tally, gripper: Gripper) -> str:
+    """What would help, by the reason that dropped most candidates."""
+    reasons = {reason: count for reason, count in tally.counts.items() if reason != "candidates"}
+    worst = max(reasons, key=lambda reason: reasons[reason], default="")
+    hints = {
+        "in collision with the table": "The hand meets the table: is the table's height right, the object too flat?",
+        "in collision with the object on the way in": (
+            f"The hand does not fit around the object: {gripper.name} opens {gripper.opening * 1000:.0f} mm wide."
+        ),
+        "fingers that close on nothing": "The fingers do not reach the object: is its size in metres?",
+        "fingers stopped by the table or an obstacle": "The fingers meet the table or an obstacle before the object.",
+    }
+    return hints.get(worst, "")

@@ -1,0 +1,39 @@
+"""Ranking by the paper's loss, and keeping the results apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from graspmatch.config import RankingConfig
+from graspmatch.planner.candidates import Candidates, Closed
+from graspmatch.planner.tally import Tally
+
+
+def rank(
+    closed: Closed, loss: Float[np.ndarray, "n"], config: RankingConfig, tally: Tally
+) -> Int[np.ndarray, "k"]:
+    """Indices of the best distinct candidates, lowest loss first."""
+    order = np.lexsort((np.arange(len(closed)), loss))
+    kept: list[int] = []
+    doubles = 0
+    for index in order:
+        if len(kept) == config.count:
+            break
+        if is_double(closed, int(index), kept, config):
+            doubles += 1
+        else:
+            kept.append(int(index))
+    tally.counts["much like a better one"] = doubles
+    tally.counts["ranked lower than asked for"] = len(closed) - len(kept) - doubles
+    return np.array(kept, dtype=int)
+
+
+def is_double(candidates: Candidates, index: int, kept: list[int], config: RankingConfig) -> bool:
+    """Whether a candidate of the same preshape is near in position and rotation to one already kept."""
+    T = candidates.T_world_gripper
+    apart = np.linalg.norm(T[kept, :3, 3] - T[index, :3, 3], axis=-1)
+    cosine = (np.einsum("kij,ij->k", T[kept, :3, :3], T[index, :3, :3]) - 1) / 2
+    angle = np.arccos(np.clip(cosine, -1, 1))
+    same = candidates.preshape[kept] == candidates.preshape[index]
+    return bool(np.any(same & (apart < config.distinct_distance) & (angle < config.distinct_angle)))

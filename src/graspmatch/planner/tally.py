@@ -1,0 +1,18 @@
+"""Counting candidates: how many each stage began with, and how many it dropped for which reason."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool
+
+
+class Tally:
+    """Reasons and counts, in the order in which they came up."""
+
+    def __init__(self, candidates: int) -> None:
+        self.counts: dict[str, int] = {"candidates": candidates}
+
+    def keep(self, mask: Bool[np.ndarray, "n"], reason: str) -> Bool[np.ndarray, "n"]:
+        """The mask itself; those outside it are counted under `reason`."""
+        self.counts[reason] = self.counts.get(reason, 0) + int(np.sum(~mask))
+        return mask

@@ -1,0 +1,244 @@
+"""What there is to grasp: one object, what stands around it and what it stands on, in the frame of the input."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from graspmatch.geometry.mesh import TriangleMesh
+from graspmatch.scene import surface
+from graspmatch.scene.read import CloudFile, read_cloud, read_mesh, read_object, triangles
+from graspmatch.types import GraspmatchError, Plane, PointCloud
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = np.ndarray
+PathLike = str | os.PathLike[str]
+Unit = Literal["auto", "m", "cm", "mm"]
+Table = Literal["auto"] | float | Plane | None
+
+METRES = {"auto": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001}
+SMALLEST, LARGEST = 0.003, 3.0
+"""Sizes of an object [m] between which nobody asks whether its unit is right."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One object as a clean, dense cloud, and all that a hand must not hit. The world frame is that of the input."""
+
+    target: PointCloud
+    """R: the surface of the object, a point every 2.5 mm, closer on small objects, with outward normals."""
+    obstacles: PointCloud
+    """Other things that must not be hit; of length zero if there are none."""
+    table: Plane | None
+    """Support plane, its normal up."""
+    centre_of_mass: Float[Array, "3"]
+    """Centroid of the volume [m] where the mesh is watertight, of the surface otherwise."""
+    source: str
+    """Name of the file, or `array`."""
+    sensor_origin: Float[Array, "3"] | None = None
+    """Where the object was seen from [m]."""
+    mesh: TriangleMesh | None = None
+    """The object's mesh [m], where the scene was made from one."""
+    notes: tuple[str, ...] = ()
+    """What was dropped, turned or assumed, one sentence each."""
+
+    @classmethod
+    def read(
+        cls,
+        path: PathLike,
+        *,
+        table: Table = "auto",
+        unit: Unit = "auto",
+        obstacles: PathLike | PointCloud | Float[Array, "m 3"] | None = None,
+        sensor_origin: Sequence[float] | Float[Array, "3"] | None = None,
+    ) -> Scene:
+        """The scene of any file that `from_mesh` or `from_cloud` can read; files with faces are meshes."""
+        content = read_object(path)
+        name = Path(path).name
+        if isinstance(content, TriangleMesh):
+            return _mesh_scene(content, name, table, unit, obstacles)
+        return _cloud_scene(content, name, table, unit, obstacles, sensor_origin)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        mesh: PathLike | TriangleMesh | trimesh.Trimesh | trimesh.Scene,
+        *,
+        table: Table = "auto",
+        unit: Unit = "auto",
+        obstacles: PathLike | PointCloud | Float[Array, "m 3"] | None = None,
+    ) -> Scene:
+        """The scene of a mesh: a file (STL, OBJ, PLY, GLB, GLTF, OFF, DAE) or an object.
+
+        table: `auto` is the horizontal plane under the lowest point, a number is the height of that plane in `unit`,
+            a `Plane` is taken as it is [m], None means that there is none.
+        unit: of all lengths given; `auto` is metres, and asks where the size of the object makes that unlikely.
+        obstacles: a cloud that must not be hit, in the same frame and unit.
+        """
+        if isinstance(mesh, (str, os.PathLike)):
+            return _mesh_scene(read_mesh(mesh), Path(mesh).name, table, unit, obstacles)
+        if isinstance(mesh, TriangleMesh):
+            return _mesh_scene(mesh, "array", table, unit, obstacles)
+        if not (hasattr(mesh, "faces") or hasattr(mesh, "dump")):
+            kinds = "a path, a TriangleMesh or a trimesh object"
+            raise GraspmatchError(f"A mesh is needed ({kinds}), not {type(mesh).__name__}.")
+        return _mesh_scene(triangles(mesh), "array", table, unit, obstacles)
+
+    @classmethod
+    def from_cloud(
+        cls,
+        cloud: PathLike | PointCloud | Float[Array, "n 3"],
+        *,
+        normals: Float[Array, "n 3"] | None = None,
+        obstacles: PathLike | PointCloud | Float[Array, "m 3"] | None = None,
+        table: Table = "auto",
+        sensor_origin: Sequence[float] | Float[Array, "3"] | None = None,
+        unit: Unit = "auto",
+    ) -> Scene:
+        """The scene of a point cloud of one object: a file (PLY, PCD, XYZ, TXT, NPY, NPZ, OBJ) or an array.
+
+        An NPZ file has its cloud under `points`, `xyz`, `pts` or `object_points`, and may have `normals` and
+        `obstacles`. What is given here goes before what the file has. `table`, `unit` and `obstacles` are as for
+        `from_mesh`; with `auto` there is no table if the sensor is below the object, for then z is not up.
+        normals: outward; without them they are estimated, towards `sensor_origin` where it is known.
+        """
+        content, name = _as_cloud(cloud)
+        if normals is not None:
+            content = CloudFile(content.points, normals, content.obstacles, content.sensor_origin)
+        return _cloud_scene(content, name, table, unit, obstacles, sensor_origin)
+
+
+def _mesh_scene(mesh: TriangleMesh, name: str, table: Table, unit: Unit, obstacles: object) -> Scene:
+    scale = _metres(unit)
+    mesh, notes = surface.clean_mesh(TriangleMesh(np.asarray(mesh.vertices) * scale, mesh.faces), name)
+    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+    _check_size(np.ptp(corners, axis=0), name, unit)
+    if Path(name).suffix.lower() in (".glb", ".gltf"):
+        notes += ("The z axis of the file is taken as up; many glTF files have y up and must be turned first.",)
+    target, spacing = surface.mesh_surface(mesh)
+    return Scene(
+        target=target,
+        obstacles=_obstacle_cloud(obstacles, scale, spacing),
+        table=_support_plane(table, corners, scale, None),
+        centre_of_mass=surface.mesh_centre(mesh),
+        source=name,
+        mesh=mesh,
+        notes=notes,
+    )
+
+
+def _cloud_scene(
+    content: CloudFile, name: str, table: Table, unit: Unit, obstacles: object, sensor_origin: object
+) -> Scene:
+    scale = _metres(unit)
+    sensor = content.sensor_origin if sensor_origin is None else sensor_origin
+    sensor = None if sensor is None else scale * _vector(sensor, "sensor_origin")
+    points, normals, notes = surface.usable_points(content.points, content.normals, scale, name)
+    _check_size(surface.typical_extent(points), name, unit, is_cloud=True)
+    target, kept, spacing, more = surface.cloud_surface(points, normals, sensor)
+    plane = _support_plane(table, kept, scale, sensor)
+    if table == "auto" and plane is None:
+        more += ("The sensor is below the object, so z is not up here: no table is assumed.",)
+    return Scene(
+        target=target,
+        obstacles=_obstacle_cloud(content.obstacles if obstacles is None else obstacles, scale, spacing),
+        table=plane,
+        centre_of_mass=target.points.mean(axis=0),
+        source=name,
+        sensor_origin=sensor,
+        notes=notes + more,
+    )
+
+
+def _as_cloud(cloud: object) -> tuple[CloudFile, str]:
+    """The cloud of a path, a PointCloud or an array, and its name."""
+    if isinstance(cloud, (str, os.PathLike)):
+        return read_cloud(cloud), Path(cloud).name
+    if isinstance(cloud, PointCloud):
+        return CloudFile(cloud.points, cloud.normals), "array"
+    return CloudFile(np.asarray(cloud)), "array"
+
+
+def _obstacle_cloud(obstacles: object, scale: float, spacing: float) -> PointCloud:
+    if obstacles is None:
+        return PointCloud(np.zeros((0, 3)))
+    content, name = _as_cloud(obstacles)
+    name = "obstacles" if name == "array" else name
+    return PointCloud(surface.thin_obstacles(surface.as_rows(content.points, name) * scale, spacing))
+
+
+def _metres(unit: str) -> float:
+    if unit not in METRES:
+        raise GraspmatchError(f"Unknown unit {unit!r}. Known: {', '.join(METRES)}.")
+    return METRES[unit]
+
+
+def _check_size(extent: Float[Array, "3"], name: str, unit: Unit, *, is_cloud: bool = False) -> None:
+    """With the unit unsaid, ask for it where the size of the object [m] is not that of a thing to grasp."""
+    size = float(extent.max())
+    if unit != "auto" or SMALLEST <= size <= LARGEST:
+        return
+    measured = f"{name} is {size:,.4g} m {'tall' if int(np.argmax(extent)) == 2 else 'long'}"
+    if size < SMALLEST:
+        raise GraspmatchError(f'{measured}, which no hand can grasp: pass its unit, unit="cm" or "m" (--unit m).')
+    if is_cloud and size < 10 * LARGEST:
+        raise GraspmatchError(
+            f'{measured}: cut it to one object if it is a whole scene, or pass its unit, unit="mm" or "cm" (--unit mm).'
+        )
+    if size < 1000 * LARGEST:
+        raise GraspmatchError(f'{measured}: it is probably in millimetres; pass unit="mm" (--unit mm).')
+    raise GraspmatchError(f"{measured}: scale it to metres, centimetres or millimetres and pass that unit.")
+
+
+def _support_plane(
+    table: Table, points: Float[Array, "n 3"], scale: float, sensor: Float[Array, "3"] | None
+) -> Plane | None:
+    """The table under the points of the object [m]; a table that the object would be sunk in is refused."""
+    if table is None:
+        return None
+    if isinstance(table, str):
+        if table != "auto":
+            raise GraspmatchError(f"Unknown table {table!r}. Known: auto, the height of the table, a Plane, None.")
+        lowest = float(points[:, 2].min())
+        below = sensor is not None and sensor[2] < lowest
+        return None if below else Plane(np.array([0.0, 0.0, 1.0]), lowest)
+    if isinstance(table, Plane):
+        normal = _vector(table.normal, "the table's normal")
+        length = float(np.linalg.norm(normal))
+        if length == 0 or not np.isfinite(table.offset):
+            raise GraspmatchError("The table needs a normal that is not zero and an offset that is a number.")
+        plane = Plane(normal / length, float(table.offset) / length)
+    elif isinstance(table, (int, float, np.integer, np.floating)) and np.isfinite(table):
+        plane = Plane(np.array([0.0, 0.0, 1.0]), float(table) * scale)
+    else:
+        raise GraspmatchError(f"The table is {table!r}. Possible: auto, the height of the table, a Plane, None.")
+    _check_table(plane, points)
+    return plane
+
+
+def _check_table(plane: Plane, points: Float[Array, "n 3"]) -> None:
+    heights = points @ plane.normal - plane.offset
+    sunk, top = -float(heights.min()), float(heights.max())
+    lower = "lower it, or pass table='auto' (under the lowest point) or None (no table)"
+    if top <= 0:
+        raise GraspmatchError(f"The table is {-top * 1000:.0f} mm above the top of the object: {lower}.")
+    if sunk > min(0.01, max((top + sunk) / 5, 0.003)):
+        raise GraspmatchError(f"The object reaches {sunk * 1000:.0f} mm below the table: {lower}.")
+
+
+def _vector(value: object, name: str) -> Float[Array, "3"]:
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise GraspmatchError(f"{name} must be three numbers, not {value!r}.") from error
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise GraspmatchError(f"{name} must be three finite numbers, not {value!r}.")
+    return vector

@@ -42,4 +42,4 @@ venv-without-uv:
 	echo "Setting up $(VENV) with $$($$python --version)"; \
 	{ test -x $(VENV)/bin/python || $$python -m venv $(VENV) || \
 	  { rm -rf $(VENV); echo "$$python cannot make a virtual environment: install its venv module, or uv." >&2; exit 1; }; } && \
-	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(VENV)/bin/python -m pip install -qq --disable-pip-version-check --editable '.[dev]'

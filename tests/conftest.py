@@ -20,7 +20,7 @@ CHECKED = [
     "simulate",
     "apps",
 ]
-jaxtyping.install_import_hook([f"graspmatch.{name}" for name in CHECKED], "beartype.beartype")
+jaxtyping.install_import_hook([f"graspmatch.{name}" for name in CHECKED], "annotations.checked")
 
 SHARED_DATA = Path(__file__).parents[1] / ".." / "shared" / "data"
 

@@ -67,7 +67,9 @@ def inner_surface_deviation(
     return distance_to(to_hand.surface, seen_points(from_hand.surface, view_points, density=density))
 
 
-def outer_surface_deviation(from_hand: PosedHand, to_hand: PosedHand, *, density: float = 5e4) -> Float[np.ndarray, "n"]:
+def outer_surface_deviation(
+    from_hand: PosedHand, to_hand: PosedHand, *, density: float = 5e4
+) -> Float[np.ndarray, "n"]:
     """The same for all that can be seen from around the hand."""
     vertices = from_hand.surface.vertices
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
@@ -77,7 +79,9 @@ def outer_surface_deviation(from_hand: PosedHand, to_hand: PosedHand, *, density
 
 def view_grid(low: list[float], high: list[float], counts: list[int]) -> Float[np.ndarray, "v 3"]:
     """View points spread evenly over a box."""
-    axes = [np.linspace(a, b, n) if n > 1 else np.array([(a + b) / 2]) for a, b, n in zip(low, high, counts, strict=True)]
+    axes = [
+        np.linspace(a, b, n) if n > 1 else np.array([(a + b) / 2]) for a, b, n in zip(low, high, counts, strict=True)
+    ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -98,7 +102,9 @@ def seen_points(
     return points[seen]
 
 
-def reaches(surface: TriangleMesh, view: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+def reaches(
+    surface: TriangleMesh, view: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, "n"]:
     """Is the way from the view point to each point free?"""
     import warp as wp
 
@@ -118,9 +124,6 @@ def distance_to(surface: TriangleMesh, points: Float[np.ndarray, "n 3"]) -> Floa
     inputs = [warp_mesh(surface).id, warp_vectors(points), found]
     wp.launch(measuring_kernels()[1], dim=len(points), inputs=inputs, device="cpu")
     return found.numpy().astype(float)
-
-
-# --- MuJoCo ---
 
 
 @cache
@@ -150,7 +153,9 @@ def solve_couplings(model: mujoco.MjModel, data: mujoco.MjData, joint_values: di
         step = np.zeros(model.nv)
         step[free] = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
         mujoco.mj_integratePos(model, data.qpos, np.clip(step, -0.1, 0.1), 1.0)
-    raise ValueError(f"The couplings of the hand cannot be met at {joint_values} (off by {np.abs(residual).max():.2g}).")
+    raise ValueError(
+        f"The couplings of the hand cannot be met at {joint_values} (off by {np.abs(residual).max():.2g})."
+    )
 
 
 def body_frame(data: mujoco.MjData, body: int) -> Float[np.ndarray, "4 4"]:
@@ -162,7 +167,7 @@ def geom_frame(data: mujoco.MjData, geom: int) -> Float[np.ndarray, "4 4"]:
 
 
 def joint_frame(data: mujoco.MjData, joint: int) -> Float[np.ndarray, "4 4"]:
-    T_world_joint = trimesh.geometry.align_vectors([0, 0, 1], data.xaxis[joint])
+    T_world_joint = np.asarray(trimesh.geometry.align_vectors([0, 0, 1], data.xaxis[joint]))
     return frame(T_world_joint[:3, :3], data.xanchor[joint])
 
 
@@ -195,9 +200,6 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> TriangleMesh:
     return TriangleMesh(np.array(solid.vertices), np.array(solid.faces))
 
 
-# --- Warp ---
-
-
 _WARP_MESHES: dict[int, tuple[TriangleMesh, Any]] = {}
 
 
@@ -223,13 +225,13 @@ def measuring_kernels() -> tuple[Any, Any]:
     import warp as wp
 
     @wp.kernel(module="unique")
-    def cast(mesh: wp.uint64, view: wp.vec3, directions: wp.array(dtype=wp.vec3), hit: wp.array(dtype=float)):
+    def cast(mesh: wp.uint64, view: wp.vec3, directions: wp.array[wp.vec3], hit: wp.array[wp.float32]):
         i = wp.tid()
         query = wp.mesh_query_ray(mesh, view, directions[i], 10.0)
         hit[i] = wp.where(query.result, query.t, 10.0)
 
     @wp.kernel(module="unique")
-    def nearest(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), found: wp.array(dtype=float)):
+    def nearest(mesh: wp.uint64, points: wp.array[wp.vec3], found: wp.array[wp.float32]):
         i = wp.tid()
         query = wp.mesh_query_point_no_sign(mesh, points[i], 10.0)
         closest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)

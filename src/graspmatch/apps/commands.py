@@ -6,11 +6,13 @@ import contextlib
 import json
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+from jaxtyping import Float
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -53,6 +55,37 @@ class Speech:
             yield
 
 
+@dataclass(frozen=True)
+class Outputs:
+    """The files to write."""
+
+    grasps: tuple[Path, ...] = ()
+    picture: Path | None = None
+
+    @property
+    def all(self) -> tuple[Path, ...]:
+        """Every one of them."""
+        return (*self.grasps, self.picture) if self.picture else self.grasps
+
+    def check(self) -> None:
+        """Refuse what cannot be written, before anything is computed."""
+        for path in self.grasps:
+            writer_of(path)
+        if self.picture and self.picture.suffix.lower() != ".png":
+            raise GraspmatchError(f"Cannot write {self.picture}: a picture has the suffix .png.")
+        for path in self.all:
+            check_place(path)
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A gripper, and where its links are."""
+
+    gripper: Gripper
+    link_poses: Callable[[Float[np.ndarray, "d"]], Float[np.ndarray, "l 4 4"]]
+    """Driven joint values to the poses of `gripper.links` in the gripper frame."""
+
+
 def plan_file(
     path: Path,
     gripper_name: str,
@@ -60,35 +93,33 @@ def plan_file(
     say: Speech,
     *,
     description: Path | None,
-    outputs: Sequence[Path],
-    picture: Path | None,
+    outputs: Outputs,
     table: float | Literal["auto"] | None,
     unit: Literal["auto", "m", "mm", "cm"],
     obstacles: Path | None,
     starts: Path | None,
 ) -> int:
     """Plan grasps for the object of a file, show and write them; the result is the exit status."""
-    check_outputs(outputs, picture)
+    outputs.check()
     with say.progress(f"Reading {path.name}"):
         scene = Scene.read(path, table=table, unit=unit, obstacles=obstacles)
         start_grasps = None if starts is None else read_grasps(starts)
-    gripper = load(gripper_name, description, config, say)
-    return plan_and_report(scene, gripper, config, say, outputs=outputs, picture=picture, starts=start_grasps)
+    hand = load_hand(gripper_name, description, config, say)
+    return plan_and_report(scene, hand, config, say, outputs, starts=start_grasps)
 
 
 def demo(folder: Path, config: PlannerConfig, say: Speech) -> int:
     """Plan grasps for a mug made by code and write every kind of file to a folder."""
     from graspmatch.scene.shapes import mug
 
-    outputs, picture = [folder / "grasps.yaml", folder / "grasps.npz"], folder / "grasps.png"
+    outputs = Outputs((folder / "grasps.yaml", folder / "grasps.npz"), folder / "grasps.png")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise GraspmatchError(f"Cannot make the folder {folder}: {error.strerror}.") from error
-    check_outputs(outputs, picture)
+    outputs.check()
     scene = Scene.from_mesh(mug())
-    gripper = load("franka_hand", None, config, say)
-    return plan_and_report(scene, gripper, config, say, outputs=outputs, picture=picture)
+    return plan_and_report(scene, load_hand("franka_hand", None, config, say), config, say, outputs)
 
 
 def list_grippers(*, as_json: bool) -> int:
@@ -123,77 +154,58 @@ def list_grippers(*, as_json: bool) -> int:
     return 0
 
 
-def check_outputs(outputs: Sequence[Path], picture: Path | None) -> None:
-    """Refuse what cannot be written before anything is computed."""
-    for path in outputs:
-        writer_of(path)
-        check_place(path)
-    if picture is not None:
-        if picture.suffix.lower() != ".png":
-            raise GraspmatchError(f"Cannot write {picture}: a picture has the suffix .png.")
-        check_place(picture)
-
-
-def load(name: str, description: Path | None, config: PlannerConfig, say: Speech) -> Gripper:
+def load_hand(name: str, description: Path | None, config: PlannerConfig, say: Speech) -> Hand:
     """The hand, once it is known that there is one of this name and a device to plan on."""
+    from graspmatch.gripper import kinematics
     from graspmatch.gripper.load import load_gripper
     from graspmatch.gripper.zoo import card_path
     from graspmatch.kernels.launch import resolve_device
 
-    card_path(name)
+    card = card_path(name)
     resolve_device(config.device)
     with say.progress(f"Loading {name} (the first time, its preshapes are computed)"):
-        return load_gripper(name, description=description)
+        gripper = load_gripper(name, description=description)
+        model = kinematics.load_hand(card, description)
+    return Hand(gripper, lambda joints: kinematics.pose_links(model, joints))
 
 
 def plan_and_report(
-    scene: Scene,
-    gripper: Gripper,
-    config: PlannerConfig,
-    say: Speech,
-    *,
-    outputs: Sequence[Path],
-    picture: Path | None,
-    starts: GraspSet | None = None,
+    scene: Scene, hand: Hand, config: PlannerConfig, say: Speech, outputs: Outputs, *, starts: GraspSet | None = None
 ) -> int:
-    """Plan, write the files where there are grasps, show what came out."""
+    """Plan, write the files where there are grasps, show what came out; the result is the exit status."""
     from graspmatch.planner.plan import plan
 
     begin = time.perf_counter()
     poses = None if starts is None else starts.T_world_gripper
     with say.progress("Planning (the first time, the kernels are compiled)"):
-        grasps = plan(scene, gripper, config, starts_world_gripper=poses)
+        grasps = plan(scene, hand.gripper, config, starts_world_gripper=poses)
     planned = f"Planned in {time.perf_counter() - begin:.2f} s on {grasps.provenance.device}"
-    if len(grasps):
-        write_all(scene, gripper, grasps, say, outputs=outputs, picture=picture)
     for note in scene.notes:
         say.show(f"Note: {note}")
     if len(grasps):
-        say.show(report.table_of_grasps(grasps, gripper))
+        say.show(report.table_of_grasps(grasps, hand.gripper))
         say.show(f"{planned}: {report.timing(grasps.provenance.seconds)}.")
-        for path in [*outputs, *([picture] if picture else [])]:
-            say.show(f"Wrote {path}")
+        write_all(scene, hand, grasps, say, outputs)
     else:
         say.show(grasps.explain())
-        say.show(f"{planned}. No file was written." if outputs or picture else f"{planned}.")
+        say.show(f"{planned}; no file was written." if outputs.all else f"{planned}.")
     if say.as_json:
-        print(json.dumps(report.record_of_grasps(grasps, gripper), allow_nan=False))
+        print(json.dumps(report.record_of_grasps(grasps, hand.gripper), allow_nan=False))
     return 0 if len(grasps) else NOT_FOUND
 
 
-def write_all(
-    scene: Scene, gripper: Gripper, grasps: GraspSet, say: Speech, *, outputs: Sequence[Path], picture: Path | None
-) -> None:
+def write_all(scene: Scene, hand: Hand, grasps: GraspSet, say: Speech, outputs: Outputs) -> None:
     """Write the grasps and their picture."""
-    for path in outputs:
-        write_grasps(grasps, path, gripper)
-    if picture is None:
+    for path in outputs.grasps:
+        write_grasps(grasps, path, hand.gripper)
+        say.show(f"Wrote {path}")
+    if outputs.picture is None:
         return
     from graspmatch.apps.picture import picture_of_grasps
-    from graspmatch.gripper.kinematics import link_poses
 
     def draw(temporary: Path) -> None:
-        picture_of_grasps(scene, gripper, grasps, temporary, link_poses=link_poses, count=PICTURED)
+        picture_of_grasps(scene, hand.gripper, grasps, temporary, link_poses=hand.link_poses, count=PICTURED)
 
     with say.progress("Drawing"):
-        write_atomically(picture, draw)
+        write_atomically(outputs.picture, draw)
+    say.show(f"Wrote {outputs.picture}")

@@ -27,18 +27,24 @@ def distinct_rows(rows: Float[Array, "n c"]) -> Int[Array, "m"]:
 
 
 def voxel_downsample(
-    points: Float[Array, "n 3"], spacing: float, *, labels: Int[Array, "n"] | None = None
+    points: Float[Array, "n 3"],
+    spacing: float,
+    *,
+    origin: Float[Array, "3"] | None = None,
+    labels: Int[Array, "n"] | None = None,
 ) -> tuple[Float[Array, "m 3"], Int[Array, "n"]]:
     """The centroid of the points in each voxel of edge `spacing` [m], and for each point the row of its voxel.
 
-    The grid begins at the lowest corner of the cloud, so it moves with the cloud. Points of different non-negative
-    `labels` never share a voxel. The result is ordered by voxel.
+    `origin` is a corner of voxels [m]; without it the grid begins at the lowest corner of the cloud, so it moves with
+    the cloud. Points of different non-negative `labels` never share a voxel. The result is ordered by voxel.
     """
     if len(points) == 0:
         return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     key = np.zeros(len(points), dtype=np.int64)
-    for column in np.ascontiguousarray(points.T, dtype=np.float64):
-        index = ((column - column.min()) / spacing + GRID_SHIFT).astype(np.int64)
+    for axis, column in enumerate(np.ascontiguousarray(points.T, dtype=np.float64)):
+        start = column.min() - GRID_SHIFT * spacing if origin is None else origin[axis]
+        index = np.floor((column - start) / spacing).astype(np.int64)
+        index -= index.min()
         key *= index.max() + 1
         key += index
     if labels is not None:
@@ -78,7 +84,8 @@ def isolated(distances: Float[Array, "n k"], index: Int[Array, "n k"]) -> Bool[A
     """Which points are specks, judged by their `nearest`: far from everything, by two measures.
 
     A speck's distance to its sixth neighbour is above five times the cloud's median and above two and a half times the
-    median of those six. The second test spares parts that are sparse or thin throughout: a wire, a tip.
+    median of those six. The second test spares parts that are sparse or thin throughout, such as a wire; lone points
+    near a dense part remain specks.
     """
     if index.shape[1] < 7:
         return np.zeros(len(index), dtype=bool)

@@ -152,11 +152,11 @@ def stein_directions(
     moves, spins = np.zeros_like(drift_position), np.zeros_like(drift_rotation)
     for i in range(len(positions)):
         k_t = np.array([translation_kernel(p, positions[i], h) for p in positions])
-        k_w = np.array([rotation_kernel(q, rotations[i]) for q in rotations])
-        away_t = np.sum(2 / h * k_t[:, None] * (positions[i] - positions), axis=0)
-        away_w = np.sum([rotation_apart(q, rotations[i]) for q in rotations], axis=0)
-        moves[i] = (-gamma * k_t @ drift_position + repulsion * away_t / n) / k_t.sum()
-        spins[i] = (-gamma * k_w @ drift_rotation + repulsion * inverse_hessian[i] @ away_w / n) / k_w.sum()
+        k = k_t * np.array([rotation_kernel(q, rotations[i]) for q in rotations])
+        away_t = np.sum(2 / h * k[:, None] * (positions[i] - positions), axis=0)
+        away_w = np.sum(k_t[:, None] * [rotation_apart(q, rotations[i]) for q in rotations], axis=0)
+        moves[i] = (-gamma * k @ drift_position + repulsion * away_t / n) / k.sum()
+        spins[i] = (-gamma * k @ drift_rotation + repulsion * inverse_hessian[i] @ away_w / n) / k.sum()
     return moves, spins
 
 

@@ -9,7 +9,7 @@ from graspmatch.kernels.warp_fields import FieldStack, interpolate, is_inside, l
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-NEVER = wp.constant(2.0)
+NEVER = 2.0
 
 
 @wp.kernel

@@ -14,6 +14,9 @@ from graspmatch.kernels.warp_fields import FieldStack, NearestField, interpolate
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
+NONE = 1.0e30
+"""Loss of a particle that never was free."""
+
 
 @wp.struct
 class Hand:
@@ -44,6 +47,9 @@ class Particles:
     loss: wp.array(dtype=wp.float32)
     colliding: wp.array(dtype=wp.int32)
     is_converged: wp.array(dtype=wp.int32)
+    best_loss: wp.array(dtype=wp.float32)
+    best_position: wp.array(dtype=wp.vec3)
+    best_rotation: wp.array(dtype=wp.quat)
 
 
 @wp.struct
@@ -115,6 +121,7 @@ def gradients(
     batch_offset: wp.array(dtype=wp.int32),
     batch_size: wp.array(dtype=wp.int32),
     settle: int,
+    remember: int,
     particles: Particles,
 ):
     """Gradients of one particle: eqs. (16), (17), or (4), (5) of eq. (18) where it collides."""
@@ -143,11 +150,24 @@ def gradients(
         previous = particles.loss[i]
         if wp.abs(previous - loss) <= terms.convergence * previous:
             particles.is_converged[i] = 1
+    if remember != 0 and colliding == 0 and loss < particles.best_loss[i]:
+        particles.best_loss[i] = loss
+        particles.best_position[i] = p
+        particles.best_rotation[i] = q
     particles.gradient_position[i] = gt
     particles.gradient_rotation[i] = wp.quat_rotate(q, hand.inverse_inertia[g] * wp.quat_rotate_inv(q, gw))
     particles.matching_error[i] = error
     particles.loss[i] = loss
     particles.colliding[i] = colliding
+
+
+@wp.kernel
+def take_best(first: int, particles: Particles):
+    """Go back to the best free pose, where there was one."""
+    i = first + wp.tid()
+    if particles.best_loss[i] < NONE:
+        particles.position[i] = particles.best_position[i]
+        particles.rotation[i] = particles.best_rotation[i]
 
 
 @wp.func
@@ -190,7 +210,8 @@ def stein(
     rotation_out: wp.array(dtype=wp.quat),
 ):
     """Eqs. (7), (8): each particle moves along the kernel-weighted gradients of its preshape's particles and away from
-    them. Dividing by the kernel's mass makes eta = 1 a Gauss-Newton step both for a lone particle and in a crowd."""
+    them, k being the product of (9) and (10). Dividing by the kernel's mass makes eta = 1 a Gauss-Newton step both for
+    a lone particle and in a crowd."""
     i = first + wp.tid()
     g = particles.preshape[i]
     start = group_start[g]
@@ -209,23 +230,21 @@ def stein(
     drift_w = wp.vec3(0.0, 0.0, 0.0)
     away_t = wp.vec3(0.0, 0.0, 0.0)
     away_w = wp.vec3(0.0, 0.0, 0.0)
-    mass_t = float(0.0)
-    mass_w = float(0.0)
+    mass = float(0.0)
     for j in range(start, start + count):
         apart = p - particles.position[j]
         k_t = wp.exp(-wp.length_sq(apart) / h)
         between = rotation_between(particles.rotation[j], q)
-        k_w = wp.abs(wp.dot(particles.rotation[j], q))
+        k = k_t * wp.abs(wp.dot(particles.rotation[j], q))
         prior_t = terms.prior_precision * (particles.position[j] - particles.seed_position[j])
         prior_w = terms.prior_concentration * rotation_between(particles.seed_rotation[j], particles.rotation[j])
-        drift_t += k_t * (particles.gradient_position[j] + prior_t / n)
-        drift_w += k_w * (particles.gradient_rotation[j] + hand_turn(hand, g, particles.rotation[j], prior_w) / n)
-        away_t += (2.0 / h) * k_t * apart
-        away_w += between
-        mass_t += k_t
-        mass_w += k_w
-    move = (-gamma * drift_t + terms.repulsion * away_t / n) / mass_t
-    spin = (-gamma * drift_w + terms.repulsion * hand_turn(hand, g, q, away_w) / n) / mass_w
+        drift_t += k * (particles.gradient_position[j] + prior_t / n)
+        drift_w += k * (particles.gradient_rotation[j] + hand_turn(hand, g, particles.rotation[j], prior_w) / n)
+        away_t += (2.0 / h) * k * apart
+        away_w += k_t * between
+        mass += k
+    move = (-gamma * drift_t + terms.repulsion * away_t / n) / mass
+    spin = (-gamma * drift_w + terms.repulsion * hand_turn(hand, g, q, away_w) / n) / mass
     position_out[i] = p + terms.learning_rate * move
     rotation_out[i] = turn(q, terms.learning_rate * spin)
 

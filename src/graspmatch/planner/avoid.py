@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from graspmatch.config import CollisionConfig
 from graspmatch.kernels.fields import stack_fields
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_avoid import back_off, least_distance
+from graspmatch.kernels.warp_fields import FieldStack
 from graspmatch.planner.candidates import Candidates, Free, Matched
 from graspmatch.planner.surroundings import solid_points
 from graspmatch.planner.tally import Tally
@@ -25,88 +26,123 @@ RETREAT_STEP = 0.001
 def keep_free(
     matched: Matched, scene: Scene, gripper: Gripper, config: CollisionConfig, device: str, tally: Tally
 ) -> Free:
-    """Matches backed off along their approach until hand and way in are clear, less those that never are.
+    """Matches opened and backed off along their approach until hand and way in are clear, less those that never are.
 
-    Matching leaves the inner surface on the object, scan noise and all: a few millimetres back make room for the
-    clearance, and a match that went in too deep becomes a shallower one.
+    Matching leaves the inner surface on the object, scan noise and all. A wider preshape at the same pose makes room
+    between the fingers, a few millimetres back make room for the palm, and a match that went too deep gets shallower.
     """
-    corridor = stack_fields([preshape.corridor for preshape in gripper.preshapes], device)
+    space = upload_space(scene, gripper, device)
+    posture = matched.preshape.copy()
+    from_table, from_points = (np.full(len(matched), np.inf) for _ in range(2))
+    trial = posture.copy()
+    for _ in range(config.most_opened + 1):
+        retry = np.flatnonzero((np.maximum(from_table, from_points) > RETREAT_STEP) & (trial >= 0))
+        opened = Candidates(trial[retry], matched.T_world_gripper[retry])
+        table, points = table_retreat(opened, space, config), point_retreat(opened, space, config)
+        better = np.maximum(table, points) < np.maximum(from_table, from_points)[retry]
+        chosen = retry[better]
+        posture[chosen], from_table[chosen], from_points[chosen] = trial[chosen], table[better], points[better]
+        trial = np.where(trial >= 0, wider_preshapes(gripper)[trial], -1)
+    is_above = tally.keep(from_table <= config.largest_retreat, "in collision with the table")
+    is_clear = tally.keep(from_points <= config.largest_retreat, "in collision with the object on the way in", is_above)
+    keep = is_above & is_clear
+    return backed_off(matched.select(keep), posture[keep], np.maximum(from_table, from_points)[keep], space)
+
+
+@dataclass(frozen=True)
+class Space:
+    """What must be kept clear, and the hand's corridors, on the device."""
+
+    gripper: Gripper
+    table: Plane | None
+    points: wp.array
+    """Target and obstacles, object frame."""
+    centre_of_mass: Float[np.ndarray, "3"]
+    corridor: FieldStack
+    device: str
+
+
+def upload_space(scene: Scene, gripper: Gripper, device: str) -> Space:
+    """The dense cloud: at 2.5 mm between points nothing slips between them at a clearance of 2 mm."""
     points = wp.array(solid_points(scene) - scene.centre_of_mass, dtype=wp.vec3, device=device)
-    approach_world = matched.T_world_gripper[:, :3, :3] @ gripper.approach
+    corridor = stack_fields([preshape.corridor for preshape in gripper.preshapes], device)
+    return Space(gripper, scene.table, points, scene.centre_of_mass, corridor, device)
 
-    retreat = np.zeros(len(matched))
-    if scene.table is not None:
-        retreat = table_retreat(matched, approach_world, scene.table, gripper, config)
-        keep = tally.keep(retreat <= config.largest_retreat, "in collision with the table")
-        matched, retreat, approach_world = matched.select(keep), retreat[keep], approach_world[keep]
 
-    retreat = np.maximum(retreat, point_retreat(matched, corridor, points, scene, gripper, config, device))
-    keep = tally.keep(retreat <= config.largest_retreat, "in collision with the object on the way in")
-    matched, retreat, approach_world = matched.select(keep), retreat[keep], approach_world[keep]
+def wider_preshapes(gripper: Gripper) -> Int[np.ndarray, "p"]:
+    """For each preshape the next wider one that differs in closing only; -1 where there is none."""
+    joints = np.array([preshape.joints for preshape in gripper.preshapes])
+    closes = np.isin(np.arange(joints.shape[1]), [j for finger in gripper.fingers for j in finger.joints])
+    stroke = np.where(closes, gripper.closed_joints - gripper.open_joints, 1.0)
+    closed = (joints - gripper.open_joints) / np.where(stroke == 0, 1.0, stroke)  # 0 open, 1 closed
+    wider = np.full(len(joints), -1)
+    for i, own in enumerate(closed):
+        same_spread = np.all(np.abs(joints - joints[i])[:, ~closes] < 1e-6, axis=-1)
+        opener = np.all(closed[:, closes] <= own[closes] + 1e-6, axis=-1) & (np.arange(len(joints)) != i)
+        options = np.flatnonzero(same_spread & opener & (closed[:, closes].sum(axis=-1) < own[closes].sum() - 1e-6))
+        if len(options):
+            wider[i] = options[np.argmax(closed[options][:, closes].sum(axis=-1))]
+    return wider
 
+
+def backed_off(
+    matched: Matched, posture: Int[np.ndarray, "n"], retreat: Float[np.ndarray, "n"], space: Space
+) -> Free:
+    """The candidates in their opened posture, moved back, and their clearance."""
     T_world_gripper = matched.T_world_gripper.copy()
-    T_world_gripper[:, :3, 3] -= retreat[:, None] * approach_world
-    backed = replace(matched, T_world_gripper=T_world_gripper)
-    clearance = point_clearance(backed, corridor, points, scene, device)
-    if scene.table is not None:
-        clearance = np.minimum(clearance, table_clearance(backed, scene.table, gripper))
-    return Free(**vars(backed), clearance=clearance, retreat=retreat)
+    T_world_gripper[:, :3, 3] -= retreat[:, None] * (T_world_gripper[:, :3, :3] @ space.gripper.approach)
+    opened = Candidates(posture, T_world_gripper)
+    clearance = np.minimum(point_clearance(opened, space), table_clearance(opened, space))
+    moved = vars(matched) | {"preshape": posture, "T_world_gripper": T_world_gripper}
+    return Free(**moved, matched_preshape=matched.preshape, clearance=clearance, retreat=retreat)
 
 
-def point_retreat(
-    candidates: Candidates, corridor, points: wp.array, scene: Scene, gripper: Gripper, config: CollisionConfig, device
-) -> Float[np.ndarray, "n"]:
+def point_retreat(candidates: Candidates, space: Space, config: CollisionConfig) -> Float[np.ndarray, "n"]:
     """How far each candidate must back off to clear all points [m]; more than `largest_retreat` if it cannot."""
-    retreat = wp.empty(len(candidates), dtype=wp.float32, device=device)
-    limits = [wp.vec3(*gripper.approach), config.clearance, RETREAT_STEP, config.largest_retreat]
-    launch(
-        back_off,
-        len(candidates),
-        [corridor, *limits, points, *pose_arrays(candidates, scene, device)],
-        [retreat],
-        device,
-    )
+    retreat = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
+    limits = [wp.vec3(*space.gripper.approach), config.clearance, RETREAT_STEP, config.largest_retreat]
+    poses = pose_arrays(candidates, space.centre_of_mass, space.device)
+    launch(back_off, len(candidates), [space.corridor, *limits, space.points, *poses], [retreat], space.device)
     return retreat.numpy().astype(float)
 
 
-def point_clearance(candidates: Candidates, corridor, points: wp.array, scene: Scene, device) -> Float[np.ndarray, "n"]:
+def point_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
     """Smallest distance of hand and way in to any point [m]."""
-    clearance = wp.empty(len(candidates), dtype=wp.float32, device=device)
-    inputs = [corridor, points, *pose_arrays(candidates, scene, device)]
-    launch(least_distance, len(candidates), inputs, [clearance], device)
+    clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
+    poses = pose_arrays(candidates, space.centre_of_mass, space.device)
+    launch(least_distance, len(candidates), [space.corridor, space.points, *poses], [clearance], space.device)
     return clearance.numpy().astype(float)
 
 
-def pose_arrays(candidates: Candidates, scene: Scene, device: str) -> list[wp.array]:
+def pose_arrays(candidates: Candidates, centre_of_mass: Float[np.ndarray, "3"], device: str) -> list[wp.array]:
     """Preshape, position and rotation of each candidate as the kernels take them, object frame."""
     return [
         wp.array(candidates.preshape, dtype=wp.int32, device=device),
-        wp.array(candidates.T_world_gripper[:, :3, 3] - scene.centre_of_mass, dtype=wp.vec3, device=device),
+        wp.array(candidates.T_world_gripper[:, :3, 3] - centre_of_mass, dtype=wp.vec3, device=device),
         wp.array(candidates.quaternions_xyzw(), dtype=wp.quat, device=device),
     ]
 
 
-def table_retreat(
-    candidates: Candidates,
-    approach_world: Float[np.ndarray, "n 3"],
-    table: Plane,
-    gripper: Gripper,
-    config: CollisionConfig,
-) -> Float[np.ndarray, "n"]:
-    """How far each candidate must back off to clear the table [m]; infinite where that leads into it."""
-    missing = config.clearance - table_clearance(candidates, table, gripper)
-    rise = -approach_world @ table.normal  # height gained per way back
+def table_retreat(candidates: Candidates, space: Space, config: CollisionConfig) -> Float[np.ndarray, "n"]:
+    """How far each candidate must back off to clear the table [m]; infinite where backing off leads into it."""
+    if space.table is None:
+        return np.zeros(len(candidates))
+    missing = config.clearance - table_clearance(candidates, space)
+    approach_world = candidates.T_world_gripper[:, :3, :3] @ space.gripper.approach
+    rise = -approach_world @ space.table.normal  # height gained per way back
     retreat = np.where(missing > 0, missing / np.where(rise > 1e-3, rise, np.nan), 0.0)
-    start_is_clear = missing - gripper.approach_distance * rise <= 0
+    start_is_clear = missing <= space.gripper.approach_distance * rise
     return np.where(np.isnan(retreat) | ~start_is_clear, np.inf, retreat)
 
 
-def table_clearance(candidates: Candidates, table: Plane, gripper: Gripper) -> Float[np.ndarray, "n"]:
-    """Height of the hand's lowest corner above the table [m]; exact, since a plane meets the hull first at a corner."""
-    heights = np.empty(len(candidates))
-    for index, preshape in enumerate(gripper.preshapes):
+def table_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
+    """Height of the hand's lowest corner above the table [m]; exact, since a plane meets a hull first at a corner."""
+    heights = np.full(len(candidates), np.inf)
+    if space.table is None:
+        return heights
+    for index, preshape in enumerate(space.gripper.preshapes):
         chosen = candidates.preshape == index
         T = candidates.T_world_gripper[chosen]
-        lowest = (table.normal @ T[:, :3, :3] @ preshape.outline.T).min(axis=-1, initial=np.inf)
-        heights[chosen] = lowest + T[:, :3, 3] @ table.normal - table.offset
+        lowest = (space.table.normal @ T[:, :3, :3] @ preshape.outline.T).min(axis=-1, initial=np.inf)
+        heights[chosen] = lowest + T[:, :3, 3] @ space.table.normal - space.table.offset
     return heights

@@ -45,8 +45,10 @@ class Matched(Candidates):
 
 @dataclass(frozen=True)
 class Free(Matched):
-    """After the collision stage: hand and approach are clear."""
+    """After the collision stage: hand and approach are clear; `preshape` is the posture to arrive with."""
 
+    matched_preshape: Int[Array, "n"]
+    """The preshape that was matched, the same or a narrower one."""
     clearance: Float[Array, "n"]
     retreat: Float[Array, "n"]
     """How far the match was backed off along its approach [m]."""

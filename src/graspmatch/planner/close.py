@@ -30,9 +30,10 @@ def close_fingers(
         blocked = np.minimum(blocked, table_fractions(free, scene.table, gripper))
     touches = (fraction <= 1) & (fraction < blocked)
     is_blocked = np.any((blocked <= 1) & (blocked <= fraction), axis=-1)
-    enough = touches.sum(axis=-1) >= config.fewest_fingers
-    keep = tally.keep(enough | is_blocked, "fingers that close on nothing")
-    keep &= tally.keep(~is_blocked, "fingers stopped by the table or an obstacle")
+    reaches = tally.keep(~is_blocked, "fingers stopped by the table or an obstacle")
+    keep = reaches & tally.keep(
+        touches.sum(axis=-1) >= config.fewest_fingers, "fingers that close on nothing", among=reaches
+    )
     free, fraction = free.select(keep), fraction[keep]
     return Closed(**vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free, fraction, gripper))
 
@@ -47,7 +48,7 @@ def contact_fractions(
     points = wp.array(cloud.points - scene.centre_of_mass, dtype=wp.vec3, device=device)
     fraction = wp.empty((len(free), fingers), dtype=wp.float32, device=device)
     point = wp.empty((len(free), fingers), dtype=wp.int32, device=device)
-    inputs = [fingers, start, stack_fields(grids, device), points, *pose_arrays(free, scene, device)]
+    inputs = [fingers, start, stack_fields(grids, device), points, *pose_arrays(free, scene.centre_of_mass, device)]
     launch(first_contact, len(free), inputs, [fraction, point], device)
     return fraction.numpy().astype(float)
 

@@ -30,6 +30,10 @@ FIELD_NODES = 96
 """At most so many nodes along one axis: larger objects get a coarser field."""
 
 
+Batch = tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]
+"""First sample and number of samples of each preshape's mini-batch, a window of its shuffled samples."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """Scene and hand on the device: everything that stays the same from iteration to iteration."""
@@ -54,7 +58,7 @@ def prepare(
     scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.random.Generator, device: str
 ) -> Problem:
     """Thin the clouds, build the nearest-neighbour field, upload the hand."""
-    target_points = voxel_downsample(scene.target.points - scene.centre_of_mass, config.voxel_size)[0]
+    target_points = voxel_downsample(scene.target.points - scene.centre_of_mass, config.voxel_size, origin=np.zeros(3))[0]
     surroundings = collision_cloud(scene, config.collision_voxel_size) - scene.centre_of_mass
     hand, samples = upload_hand(gripper.preshapes, rng, device)
     return Problem(
@@ -81,7 +85,8 @@ def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.
             batch = whole_batch(problem.samples)
         else:
             target, batch = problem.target, mini_batch(problem.samples, share, rng)
-        gradients(problem, particles, target, batch, settle=k > stein_iterations)  # eqs. (16)-(18)
+        refining = k > stein_iterations
+        gradients(problem, particles, target, batch, settle=refining, remember=refining and share == 1)  # (16)-(18)
         if k <= stein_iterations:
             stein_step(problem, particles, starts, annealing(k, config))  # eqs. (7), (8)
         elif config.method == "icp":
@@ -92,10 +97,11 @@ def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.
 
 
 def measured(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
-    """The particles' poses in the world, and their loss over all samples."""
+    """The particles' best free poses (their last ones where they never were free), and the loss over all samples."""
     is_converged = particles.is_converged.numpy().astype(bool)
     particles.is_converged.zero_()
-    gradients(problem, particles, problem.target, whole_batch(problem.samples), settle=False)
+    launch(warp_match.take_best, len(starts), [particles], [], problem.device)
+    gradients(problem, particles, problem.target, whole_batch(problem.samples))
     rotation = se3.matrix_from_quaternion(np.roll(particles.rotation.numpy().astype(float), 1, axis=-1))
     position = particles.position.numpy().astype(float) + problem.centre_of_mass
     lever = np.einsum("nij,nj->ni", rotation, problem.pivots[starts.preshape])
@@ -109,7 +115,7 @@ def measured(particles: warp_match.Particles, starts: Candidates, problem: Probl
 
 
 def measure(candidates: Candidates, problem: Problem) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Matching error (14) and loss (13) of poses as they are [m2]."""
+    """Matching error (14) and loss (13) of poses as they are [m2]: after matching, many were backed off."""
     found = measured(upload_particles(candidates, problem), candidates, problem)
     return found.matching_error, found.loss
 
@@ -133,14 +139,12 @@ def batch_share(k: int, config: MatchingConfig) -> float:
     return min(k, ramp) / ramp if config.method != "icp" else 1.0
 
 
-def mini_batch(
-    samples: Int[np.ndarray, "p"], share: float, rng: np.random.Generator
-) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
-    """First sample and number of samples of each preshape's batch: a window of its shuffled samples."""
+def mini_batch(samples: Int[np.ndarray, "p"], share: float, rng: np.random.Generator) -> Batch:
+    """A random window of every preshape's samples."""
     return rng.integers(samples), np.ceil(share * samples).astype(int)
 
 
-def whole_batch(samples: Int[np.ndarray, "p"]) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
+def whole_batch(samples: Int[np.ndarray, "p"]) -> Batch:
     """All samples of every preshape."""
     return np.zeros_like(samples), samples
 
@@ -152,10 +156,18 @@ def object_batch(
     return points[rng.permutation(len(points))[: max(int(np.ceil(share * len(points))), 1)]]
 
 
-def gradients(problem: Problem, particles: warp_match.Particles, target: NearestField, batch, *, settle: bool) -> None:
-    """One pass of eqs. (16)-(18); `settle` lets particles converge."""
+def gradients(
+    problem: Problem,
+    particles: warp_match.Particles,
+    target: NearestField,
+    batch: Batch,
+    *,
+    settle: bool = False,
+    remember: bool = False,
+) -> None:
+    """One pass of eqs. (16)-(18); `settle` lets particles converge, `remember` keeps their best free pose."""
     offset, size = (wp.array(part, dtype=wp.int32, device=problem.device) for part in batch)
-    inputs = [problem.hand, target, problem.surroundings, problem.terms, offset, size, int(settle), particles]
+    inputs = [problem.hand, target, problem.surroundings, problem.terms, offset, size, int(settle), int(remember), particles]
     launch(warp_match.gradients, particles.preshape.shape[0], inputs, [], problem.device)
 
 
@@ -244,4 +256,7 @@ def upload_particles(starts: Candidates, problem: Problem) -> warp_match.Particl
     particles.loss = wp.zeros(n, dtype=wp.float32, device=device)
     particles.colliding = wp.zeros(n, dtype=wp.int32, device=device)
     particles.is_converged = wp.zeros(n, dtype=wp.int32, device=device)
+    particles.best_loss = wp.full(n, warp_match.NONE, dtype=wp.float32, device=device)
+    particles.best_position = wp.clone(particles.position)
+    particles.best_rotation = wp.clone(particles.rotation)
     return particles

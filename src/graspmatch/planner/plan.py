@@ -13,7 +13,7 @@ from graspmatch.config import PlannerConfig
 from graspmatch.geometry import se3
 from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.avoid import keep_free
-from graspmatch.planner.candidates import Closed
+from graspmatch.planner.candidates import Candidates, Closed
 from graspmatch.planner.close import close_fingers
 from graspmatch.planner.match import match, measure, prepare
 from graspmatch.planner.rank import rank
@@ -53,7 +53,7 @@ def plan(
     watch.lap("avoid")
     closed = close_fingers(free, scene, gripper, config.closing, device, tally)  # contacts and joint values
     watch.lap("close")
-    error, loss = measure(closed, problem)  # at the poses that were backed off
+    error, loss = measure(Candidates(closed.matched_preshape, closed.T_world_gripper), problem)
     order = rank(closed, loss, config.ranking, tally)
     watch.lap("rank")
     provenance = Provenance(

@@ -12,7 +12,10 @@ class Tally:
     def __init__(self, candidates: int) -> None:
         self.counts: dict[str, int] = {"candidates": candidates}
 
-    def keep(self, mask: Bool[np.ndarray, "n"], reason: str) -> Bool[np.ndarray, "n"]:
-        """The mask itself; those outside it are counted under `reason`."""
-        self.counts[reason] = self.counts.get(reason, 0) + int(np.sum(~mask))
+    def keep(
+        self, mask: Bool[np.ndarray, "n"], reason: str, among: Bool[np.ndarray, "n"] | None = None
+    ) -> Bool[np.ndarray, "n"]:
+        """The mask itself; those outside it (of those `among`) are counted under `reason`."""
+        dropped = ~mask if among is None else ~mask & among
+        self.counts[reason] = self.counts.get(reason, 0) + int(np.sum(dropped))
         return mask

@@ -25,11 +25,11 @@ CLOUD_KEYS = ("points", "xyz", "pts", "object_points")
 
 @dataclass(frozen=True)
 class CloudFile:
-    """A point cloud as its file has it, in the file's unit and frame, unusable points included."""
+    """A point cloud as its file has it, in the file's unit and frame: of any shape and type, which others check."""
 
-    points: Float[Array, "n 3"]
-    normals: Float[Array, "n 3"] | None = None
-    obstacles: Float[Array, "m 3"] | None = None
+    points: Array
+    normals: Array | None = None
+    obstacles: Array | None = None
     sensor_origin: Float[Array, "3"] | None = None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 PathLike = str | os.PathLike[str]
 Unit = Literal["auto", "m", "cm", "mm"]
-Table = Literal["auto"] | float | Plane | None
+Table = Literal["auto"] | float | int | Plane | None
 
 METRES = {"auto": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001}
 SMALLEST, LARGEST = 0.003, 3.0
@@ -57,8 +57,8 @@ class Scene:
         *,
         table: Table = "auto",
         unit: Unit = "auto",
-        obstacles: PathLike | PointCloud | Float[Array, "m 3"] | None = None,
-        sensor_origin: Sequence[float] | Float[Array, "3"] | None = None,
+        obstacles: PathLike | PointCloud | Array | None = None,
+        sensor_origin: Sequence[float] | Array | None = None,
     ) -> Scene:
         """The scene of any file that `from_mesh` or `from_cloud` can read; files with faces are meshes."""
         content = read_object(path)
@@ -74,14 +74,14 @@ class Scene:
         *,
         table: Table = "auto",
         unit: Unit = "auto",
-        obstacles: PathLike | PointCloud | Float[Array, "m 3"] | None = None,
+        obstacles: PathLike | PointCloud | Array | None = None,
     ) -> Scene:
         """The scene of a mesh: a file (STL, OBJ, PLY, GLB, GLTF, OFF, DAE) or an object.
 
         table: `auto` is the horizontal plane under the lowest point, a number is the height of that plane in `unit`,
             a `Plane` is taken as it is [m], None means that there is none.
         unit: of all lengths given; `auto` is metres, and asks where the size of the object makes that unlikely.
-        obstacles: a cloud that must not be hit, in the same frame and unit.
+        obstacles: a cloud, file or array (m, 3), that must not be hit, in the same frame and unit.
         """
         if isinstance(mesh, (str, os.PathLike)):
             return _mesh_scene(read_mesh(mesh), Path(mesh).name, table, unit, obstacles)
@@ -95,40 +95,40 @@ class Scene:
     @classmethod
     def from_cloud(
         cls,
-        cloud: PathLike | PointCloud | Float[Array, "n 3"],
+        cloud: PathLike | PointCloud | Array,
         *,
-        normals: Float[Array, "n 3"] | None = None,
-        obstacles: PathLike | PointCloud | Float[Array, "m 3"] | None = None,
+        normals: Array | None = None,
+        obstacles: PathLike | PointCloud | Array | None = None,
         table: Table = "auto",
-        sensor_origin: Sequence[float] | Float[Array, "3"] | None = None,
+        sensor_origin: Sequence[float] | Array | None = None,
         unit: Unit = "auto",
     ) -> Scene:
-        """The scene of a point cloud of one object: a file (PLY, PCD, XYZ, TXT, NPY, NPZ, OBJ) or an array.
+        """The scene of a point cloud of one object: a file (PLY, PCD, XYZ, TXT, NPY, NPZ, OBJ) or an array (n, 3).
 
         An NPZ file has its cloud under `points`, `xyz`, `pts` or `object_points`, and may have `normals` and
         `obstacles`. What is given here goes before what the file has. `table`, `unit` and `obstacles` are as for
         `from_mesh`; with `auto` there is no table if the sensor is below the object, for then z is not up.
-        normals: outward; without them they are estimated, towards `sensor_origin` where it is known.
+        normals: (n, 3), outward; without them they are estimated, towards `sensor_origin` where it is known.
         """
         content, name = _as_cloud(cloud)
         if normals is not None:
-            content = CloudFile(content.points, normals, content.obstacles, content.sensor_origin)
+            content = replace(content, normals=normals)
         return _cloud_scene(content, name, table, unit, obstacles, sensor_origin)
 
 
 def _mesh_scene(mesh: TriangleMesh, name: str, table: Table, unit: Unit, obstacles: object) -> Scene:
     scale = _metres(unit)
-    mesh, notes = surface.clean_mesh(TriangleMesh(np.asarray(mesh.vertices) * scale, mesh.faces), name)
+    mesh, areas, notes = surface.clean_mesh(TriangleMesh(np.asarray(mesh.vertices) * scale, mesh.faces), name)
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     _check_size(np.ptp(corners, axis=0), name, unit)
     if Path(name).suffix.lower() in (".glb", ".gltf"):
         notes += ("The z axis of the file is taken as up; many glTF files have y up and must be turned first.",)
-    target, spacing = surface.mesh_surface(mesh)
+    target, spacing = surface.mesh_surface(mesh, areas)
     return Scene(
         target=target,
         obstacles=_obstacle_cloud(obstacles, scale, spacing),
         table=_support_plane(table, corners, scale, None),
-        centre_of_mass=surface.mesh_centre(mesh),
+        centre_of_mass=surface.mesh_centre(mesh, areas),
         source=name,
         mesh=mesh,
         notes=notes,
@@ -158,20 +158,19 @@ def _cloud_scene(
     )
 
 
-def _as_cloud(cloud: object) -> tuple[CloudFile, str]:
-    """The cloud of a path, a PointCloud or an array, and its name."""
+def _as_cloud(cloud: object, name: str = "array") -> tuple[CloudFile, str]:
+    """The cloud of a path, a PointCloud or an array; and the name of the file, or else the given one."""
     if isinstance(cloud, (str, os.PathLike)):
         return read_cloud(cloud), Path(cloud).name
     if isinstance(cloud, PointCloud):
-        return CloudFile(cloud.points, cloud.normals), "array"
-    return CloudFile(np.asarray(cloud)), "array"
+        return CloudFile(cloud.points, cloud.normals), name
+    return CloudFile(surface.as_rows(cloud, name)), name
 
 
 def _obstacle_cloud(obstacles: object, scale: float, spacing: float) -> PointCloud:
     if obstacles is None:
         return PointCloud(np.zeros((0, 3)))
-    content, name = _as_cloud(obstacles)
-    name = "obstacles" if name == "array" else name
+    content, name = _as_cloud(obstacles, "the obstacle cloud")
     return PointCloud(surface.thin_obstacles(surface.as_rows(content.points, name) * scale, spacing))
 
 

@@ -33,7 +33,8 @@ def usable_points(
     directions = None if normals is None else as_rows(normals, f"the normals of {name}")
     if directions is not None and len(directions) != len(rows):
         raise GraspmatchError(f"{name} has {len(rows)} points but {len(directions)} normals; one each is needed.")
-    finite = np.flatnonzero(np.isfinite(rows @ np.ones(3)))  # the sum, since reducing many short rows is slow
+    with np.errstate(invalid="ignore"):  # of infinity minus infinity
+        finite = np.flatnonzero(np.isfinite(rows @ np.ones(3)))  # the sum, since reducing many short rows is slow
     if len(finite) == 0:
         what = f"{len(rows)} points, all of them NaN or infinite" if len(rows) else "no points"
         raise GraspmatchError(f"{name} has {what}; at least {FEWEST_POINTS} usable ones are needed.")
@@ -104,8 +105,8 @@ def thin_obstacles(points: Float[Array, "n 3"], spacing: float) -> Float[Array, 
     return cloud.voxel_downsample(points[cloud.distinct_rows(points)], spacing)[0]
 
 
-def clean_mesh(mesh: TriangleMesh, name: str) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """Equal vertices merged, faces that are no triangles dropped, the outside out; and notes on what was done."""
+def clean_mesh(mesh: TriangleMesh, name: str) -> tuple[TriangleMesh, Float[Array, "f"], tuple[str, ...]]:
+    """Equal vertices merged, faces that are not finite dropped, the outside out; areas [m2]; notes on what was done."""
     import trimesh
 
     vertices, faces = as_rows(mesh.vertices, f"the vertices of {name}"), np.asarray(mesh.faces)
@@ -124,12 +125,11 @@ def clean_mesh(mesh: TriangleMesh, name: str) -> tuple[TriangleMesh, tuple[str, 
     if areas @ np.einsum("ni,ni->n", normals, centres - areas @ centres / areas.sum()) < 0:
         mesh = TriangleMesh(mesh.vertices, mesh.faces[:, ::-1].copy())
         notes += ("The faces were inside out and were turned over.",)
-    return mesh, notes
+    return mesh, areas, notes
 
 
-def mesh_surface(mesh: TriangleMesh) -> tuple[PointCloud, float]:
+def mesh_surface(mesh: TriangleMesh, areas: Float[Array, "f"]) -> tuple[PointCloud, float]:
     """The surface of a mesh as a cloud, and its spacing [m]; the two sides of a sheet stay apart."""
-    _, areas = face_normals_areas(mesh)
     spacing = _fine_spacing(mesh.vertices[np.unique(mesh.faces)])
     spacing = max(spacing, float(np.sqrt(1.5 * areas.sum() / MOST_POINTS)))
     points, normals = sample_surface(mesh, SAMPLES_PER_CELL / spacing**2, np.random.default_rng(0))
@@ -138,7 +138,7 @@ def mesh_surface(mesh: TriangleMesh) -> tuple[PointCloud, float]:
     return PointCloud(centroids, directions), spacing
 
 
-def mesh_centre(mesh: TriangleMesh) -> Float[Array, "3"]:
+def mesh_centre(mesh: TriangleMesh, areas: Float[Array, "f"]) -> Float[Array, "3"]:
     """Centroid [m] of the volume where the mesh is watertight and has one, of the surface otherwise."""
     import trimesh
 
@@ -147,7 +147,6 @@ def mesh_centre(mesh: TriangleMesh) -> Float[Array, "3"]:
         centre = np.array(solid.center_mass)
         if (centre > mesh.vertices.min(axis=0)).all() and (centre < mesh.vertices.max(axis=0)).all():
             return centre
-    _, areas = face_normals_areas(mesh)
     return areas @ mesh.vertices[mesh.faces].mean(axis=1) / areas.sum()
 
 

@@ -78,7 +78,7 @@ class Preshape:
     """Closing fraction at which each finger first covers the node, on the grid `hand`; 2 where it never does."""
     outline: Float[Array, "v 3"]
     """Corners of the convex hulls of all links [m]: a plane clear of them is clear of the hand."""
-    finger_outlines: tuple[Float[Array, "k v 3"], ...]
+    finger_outlines: tuple[Float[Array, "k _ 3"], ...]
     """For each finger, the same for its links at k closing fractions, evenly from 0 to 1."""
 
 

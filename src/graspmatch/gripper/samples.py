@@ -21,6 +21,8 @@ from graspmatch.types import GraspmatchError, PointCloud
 CAMERA_HEIGHTS = (0.35, 0.6, 0.85)
 """Where the cameras stand, as fractions of the way from the palm to the tool centre point."""
 CAMERA_RAYS = 4000
+LATTICE_OFFSET = 0.317
+"""In voxels: keeps faces at round numbers off the voxels' borders, where rounding would count them twice."""
 LEAST_COSINE = 0.2
 """A surface turned further away from the camera than this is not seen."""
 
@@ -70,8 +72,12 @@ def _camera_positions(
 ) -> Float[np.ndarray, "v 3"]:
     """On the axis from the palm, where a ray from the tool centre point meets it, to the tool centre point."""
     reach, _ = caster.cast(tool_centre_point[None], -approach[None])
-    depth = reach[0] if reach[0] > 0 else abs(float(approach @ tool_centre_point))
-    return tool_centre_point - (1 - np.array(CAMERA_HEIGHTS))[:, None] * depth * approach
+    if reach[0] < 0:
+        raise GraspmatchError(
+            "There is no palm behind the tool centre point, against the approach: check the card's tool_centre_point "
+            "and approach, in the frame of its base_link."
+        )
+    return tool_centre_point - (1 - np.array(CAMERA_HEIGHTS))[:, None] * reach[0] * approach
 
 
 def _seen_by_rays(caster: _RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):
@@ -100,7 +106,7 @@ def _seen_samples(caster: _RayCaster, views: Float[np.ndarray, "v 3"], voxel_siz
 
 def _one_in_each_voxel(points: Float[np.ndarray, "n 3"], voxel_size: float) -> Int[np.ndarray, "m"]:
     """Index of the point nearest to the centroid of each voxel's points: on the surface, as the centroid is not."""
-    cells = np.floor(points / voxel_size).astype(int)
+    cells = np.floor(points / voxel_size + LATTICE_OFFSET).astype(int)
     _, voxel, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     voxel = voxel.ravel()
     centroid = np.stack([np.bincount(voxel, points[:, a]) for a in range(3)], axis=-1) / count[:, None]

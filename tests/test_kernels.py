@@ -1,0 +1,319 @@
+"""Kernels against the NumPy reference, and the reference against finite differences and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.spatial import cKDTree
+
+from graspmatch.geometry import grid as grids
+from graspmatch.geometry import se3
+from graspmatch.geometry.grid import Grid
+from graspmatch.kernels import reference, warp_fields, warp_match
+from graspmatch.kernels.fields import covering_nearest_field, stack_fields
+from graspmatch.kernels.launch import launch
+from graspmatch.planner.match import inverse_inertia
+
+TIGHT = {"rtol": 1e-4, "atol": 1e-6}
+"""Single against double precision, lengths of decimetres."""
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+def random_pose(rng, scale=0.1):
+    return rng.normal(size=3) * scale, se3.random_quaternions(1, rng)[0]
+
+
+def vec3(array, device):
+    return wp.array(array, dtype=wp.vec3, device=device)
+
+
+# --- the reference ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [0.01, 0.1, 1.0])
+def test_gradient_by_translation_is_half_the_slope_of_the_loss(rng, scale):
+    t, q = random_pose(rng, scale)
+    samples, paired = rng.normal(size=(2, 30, 3)) * scale
+    by_t, _ = reference.matching_gradients(t, q, samples, paired)
+    R = se3.matrix_from_quaternion(q)
+    h = 1e-6 * scale
+
+    def loss(at):
+        return reference.matching_loss(samples @ R.T + at, paired)
+
+    slope = [(loss(t + h * e) - loss(t - h * e)) / (2 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(2 * by_t, slope, rtol=1e-6, atol=1e-9 * scale)
+
+
+def test_derivative_of_the_rotation_matches_differences(rng):
+    q = se3.random_quaternions(1, rng)[0]
+    derivative = reference.rotation_derivative(q)
+    for k, e in enumerate(np.eye(4)):
+        difference = reference.homogeneous_rotation(q + 1e-6 * e) - reference.homogeneous_rotation(q - 1e-6 * e)
+        np.testing.assert_allclose(derivative[k], difference / 2e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("scale", [0.01, 0.1, 1.0])
+def test_tangent_gradient_is_half_the_slope_along_the_manifold(rng, scale):
+    """Eqs. (5) and (17) through the quaternion, against perturbing the rotation itself; the loss with its CoM term."""
+    t, q = random_pose(rng, scale)
+    samples, paired = rng.normal(size=(2, 30, 3)) * scale
+    tcp, com = rng.normal(size=(2, 3)) * scale
+    _, by_q = reference.grasp_gradients(t, q, samples, paired, tcp, com, 1.0)
+
+    def loss(w):
+        turned = se3.quaternion_multiply(se3.quaternion_exp(w), q)
+        moved = samples @ se3.matrix_from_quaternion(turned).T + t
+        return reference.matching_loss(moved, paired) + reference.com_loss(t, turned, tcp, com)
+
+    h = 1e-6
+    slope = [(loss(h * e) - loss(-h * e)) / (2 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(2 * reference.tangent(q, by_q), slope, rtol=1e-5, atol=1e-9 * scale**2)
+
+
+def test_tangent_gradient_is_the_mean_torque_of_the_residuals(rng):
+    """What the kernels compute: lever x residual."""
+    t, q = random_pose(rng)
+    samples, paired = rng.normal(size=(2, 30, 3)) * 0.1
+    _, by_q = reference.matching_gradients(t, q, samples, paired)
+    lever = samples @ se3.matrix_from_quaternion(q).T
+    torque = np.cross(lever, lever + t - paired).mean(axis=0)
+    np.testing.assert_allclose(reference.tangent(q, by_q), torque, atol=1e-12)
+
+
+def test_closed_form_alignment_recovers_a_rigid_motion(rng):
+    samples = rng.normal(size=(40, 3))
+    T = se3.from_parts(se3.matrix_from_quaternion(se3.random_quaternions(1, rng)[0]), rng.normal(size=3))
+    found = reference.align(samples, se3.apply(T, samples), rng.random(40) + 0.1)
+    np.testing.assert_allclose(found, T, atol=1e-12)
+
+
+def test_closed_form_alignment_never_mirrors(rng):
+    samples = rng.normal(size=(40, 3))
+    found = reference.align(samples, samples * [1, 1, -1], np.ones(40))
+    assert np.linalg.det(found[:3, :3]) == pytest.approx(1.0)
+
+
+def test_repulsion_of_equal_poses_is_zero_and_of_near_ones_points_apart(rng):
+    q = se3.random_quaternions(1, rng)[0]
+    np.testing.assert_allclose(reference.rotation_apart(q, q), 0.0, atol=1e-12)
+    w = np.array([0.02, -0.01, 0.03])
+    near = se3.quaternion_multiply(se3.quaternion_exp(w), q)
+    apart = reference.rotation_apart(q, near)
+    assert apart @ w > 0.99 * np.linalg.norm(apart) * np.linalg.norm(w)
+    np.testing.assert_allclose(reference.rotation_apart(-q, near), apart, atol=1e-12)  # q and -q are one rotation
+
+
+# --- fields ----------------------------------------------------------------------------------------------------------
+
+
+def surface_cloud(rng, n=4000):
+    points = rng.normal(size=(n, 3))
+    return points / np.linalg.norm(points, axis=-1, keepdims=True) * [0.05, 0.03, 0.08]
+
+
+def test_interpolation_on_the_device_matches_numpy_inside_and_outside(rng, device):
+    fields = [Grid(rng.normal(size=3) * 0.1, 0.01, rng.normal(size=shape)) for shape in [(5, 6, 7), (4, 9, 3)]]
+    points, which = rng.uniform(-0.2, 0.2, size=(500, 3)), rng.integers(2, size=500)
+    out = wp.empty(500, dtype=wp.float32, device=device)
+    inputs = [stack_fields(fields, device), wp.array(which, dtype=wp.int32, device=device), vec3(points, device)]
+    launch(warp_fields.query_stack, 500, inputs, [out], device)
+    expected = np.where(which == 0, grids.interpolate(fields[0], points), grids.interpolate(fields[1], points))
+    np.testing.assert_allclose(out.numpy(), expected, rtol=1e-4, atol=2e-4)
+
+
+def test_interpolation_reproduces_a_linear_field(rng):
+    origin, shape = grids.covering(np.array([-0.1, -0.2, 0.0]), np.array([0.1, 0.1, 0.3]), 0.02)
+    nodes = grids.node_positions(origin, 0.02, shape)
+    field = Grid(origin, 0.02, (nodes @ [1.0, -2.0, 3.0] + 0.5).reshape(shape))
+    points = rng.uniform([-0.1, -0.2, 0.0], [0.1, 0.1, 0.3], size=(100, 3))
+    np.testing.assert_allclose(grids.interpolate(field, points), points @ [1.0, -2.0, 3.0] + 0.5, atol=1e-12)
+
+
+def test_nearest_field_agrees_with_a_tree(rng, device):
+    """Exact but for a few queries, and nowhere worse than half a voxel: seeds are rounded to nodes."""
+    from graspmatch.geometry.cloud import voxel_downsample
+
+    points = voxel_downsample(surface_cloud(rng, 20000), 0.005, origin=np.zeros(3))[0]
+    field = covering_nearest_field(points, 0.005, 0.03, 96, device)
+    queries = rng.uniform(points.min(0) - 0.03, points.max(0) + 0.03, size=(20000, 3))
+    out = wp.empty(len(queries), dtype=wp.int32, device=device)
+    launch(warp_fields.query_nearest, len(queries), [field, vec3(queries, device)], [out], device)
+    excess = np.linalg.norm(queries - points[out.numpy()], axis=-1) - cKDTree(points).query(queries)[0]
+    assert excess.max() < 0.0025
+    assert np.mean(excess > 0.001) < 0.02
+    assert excess.mean() < 0.0001
+
+
+# --- matching --------------------------------------------------------------------------------------------------------
+
+
+class Toy:
+    """Two preshapes of random samples in a box-shaped hand, a target, and particles, on device and host."""
+
+    def __init__(self, rng, device, particles=6, size=40):
+        self.device, self.rng = device, rng
+        self.samples = [rng.normal(size=(size, 3)) * 0.03 for _ in range(2)]
+        self.weights = [rng.random(size) + 0.5 for _ in range(2)]
+        self.target = rng.normal(size=(60, 3)) * 0.05
+        self.preshape = np.repeat([0, 1], particles // 2)
+        self.t = rng.normal(size=(particles, 3)) * 0.03
+        self.q = se3.random_quaternions(particles, rng)
+        origin, shape = grids.covering(np.full(3, -0.04), np.full(3, 0.04), 0.002)
+        nodes = grids.node_positions(origin, 0.002, shape)
+        self.half = np.array([0.015, 0.03, 0.01])
+        self.distance = Grid(origin, 0.002, self.box(nodes).reshape(shape))
+        self.nearest = [cKDTree(s).query(nodes)[1] for s in self.samples]
+
+    def box(self, points):
+        q = np.abs(points) - self.half
+        return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
+
+    def hand(self):
+        hand = warp_match.Hand()
+        hand.samples = vec3(np.concatenate(self.samples), self.device)
+        hand.weights = wp.array(np.concatenate(self.weights), dtype=wp.float32, device=self.device)
+        hand.start = wp.array([0, len(self.samples[0])], dtype=wp.int32, device=self.device)
+        hand.count = wp.array([len(s) for s in self.samples], dtype=wp.int32, device=self.device)
+        hand.tool_centre_point = wp.zeros(2, dtype=wp.vec3, device=self.device)
+        self.inverse = [inverse_inertia(s, w) for s, w in zip(self.samples, self.weights, strict=True)]
+        hand.inverse_inertia = wp.array(np.array(self.inverse), dtype=wp.mat33, device=self.device)
+        hand.distance = stack_fields([self.distance, self.distance], self.device)
+        hand.nearest_sample = wp.array(np.concatenate(self.nearest), dtype=wp.int32, device=self.device)
+        return hand
+
+    def particles(self):
+        n, device = len(self.t), self.device
+        particles = warp_match.Particles()
+        particles.preshape = wp.array(self.preshape, dtype=wp.int32, device=device)
+        particles.position = vec3(self.t, device)
+        particles.rotation = wp.array(np.roll(self.q, -1, axis=-1), dtype=wp.quat, device=device)
+        particles.seed_position = wp.clone(particles.position)
+        particles.seed_rotation = wp.clone(particles.rotation)
+        for name in ("gradient_position", "gradient_rotation", "best_position"):
+            setattr(particles, name, wp.zeros(n, dtype=wp.vec3, device=device))
+        particles.best_rotation = wp.zeros(n, dtype=wp.quat, device=device)
+        particles.matching_error = wp.zeros(n, dtype=wp.float32, device=device)
+        particles.loss = wp.zeros(n, dtype=wp.float32, device=device)
+        particles.best_loss = wp.full(n, warp_match.NONE, dtype=wp.float32, device=device)
+        particles.colliding = wp.zeros(n, dtype=wp.int32, device=device)
+        particles.is_converged = wp.zeros(n, dtype=wp.int32, device=device)
+        return particles
+
+    def terms(self, com_weight=1.0, repulsion=0.01):
+        terms = warp_match.Terms()
+        terms.com, terms.com_weight, terms.com_gradient_weight = wp.vec3(0.0, 0.0, 0.0), com_weight, com_weight
+        terms.repulsion, terms.prior_precision, terms.prior_concentration = repulsion, 0.0, 0.0
+        terms.learning_rate, terms.convergence = 1.0, 0.0
+        return terms
+
+    def gradients(self, scene, terms, particles):
+        # A fine field makes the nearest neighbour exact for so few points.
+        field = covering_nearest_field(self.target, 0.004, 0.05, 200, self.device)
+        batch = [wp.array(v, dtype=wp.int32, device=self.device) for v in ([0, 0], [len(s) for s in self.samples])]
+        inputs = [self.hand(), field, vec3(scene, self.device), terms, *batch, 0, 0, particles]
+        launch(warp_match.gradients, len(self.t), inputs, [], self.device)
+
+
+def test_matching_gradients_on_the_device_match_the_reference(rng, device):
+    toy, terms = Toy(rng, device), None
+    particles, terms = toy.particles(), toy.terms()
+    toy.gradients(np.full((1, 3), 9.0), terms, particles)
+    for i, g in enumerate(toy.preshape):
+        samples, weights = toy.samples[g], toy.weights[g] / toy.weights[g].sum() * len(toy.samples[g])
+        R = se3.matrix_from_quaternion(toy.q[i])
+        moved = samples @ R.T + toy.t[i]
+        residual = moved - reference.pairs(moved, toy.target)
+        by_t = (weights[:, None] * residual).mean(axis=0) + toy.t[i]  # TCP and CoM are both origins
+        torque = (weights[:, None] * np.cross(samples @ R.T, residual)).mean(axis=0)
+        np.testing.assert_allclose(particles.gradient_position.numpy()[i], by_t / 2, **TIGHT)
+        expected = R @ toy.inverse[g] @ R.T @ torque
+        np.testing.assert_allclose(particles.gradient_rotation.numpy()[i], expected, rtol=1e-3, atol=1e-4)
+        loss = np.mean(weights * np.sum(residual**2, axis=-1)) + toy.t[i] @ toy.t[i]
+        assert particles.loss.numpy()[i] == pytest.approx(loss, rel=1e-4)
+
+
+def test_colliding_particles_follow_the_collision_gradient(rng, device):
+    toy = Toy(rng, device)
+    scene = rng.uniform(-0.12, 0.12, size=(4000, 3))
+    particles = toy.particles()
+    toy.gradients(scene, toy.terms(), particles)
+    for i, g in enumerate(toy.preshape):
+        inside_object, inside_hand = reference.colliding_points(toy.t[i], toy.q[i], scene, toy.box)
+        count = particles.colliding.numpy()[i]
+        assert count > 0
+        assert abs(count - len(inside_object)) <= 0.1 * len(inside_object) + 1  # the grid rounds the box's edges
+        # The kernel pairs by the nearest sample of the nearest node: nearly always the nearest sample.
+        node = np.rint((inside_hand - toy.distance.origin) / toy.distance.spacing).astype(int)
+        paired = toy.nearest[g].reshape(toy.distance.shape)[tuple(node.T)]
+        assert np.mean(paired == cKDTree(toy.samples[g]).query(inside_hand)[1]) > 0.8
+        R = se3.matrix_from_quaternion(toy.q[i])
+        by_t = (toy.samples[g][paired] @ R.T + toy.t[i] - inside_object).mean(axis=0)
+        np.testing.assert_allclose(particles.gradient_position.numpy()[i], by_t, atol=5e-4)
+
+
+def test_stein_step_matches_the_reference(rng, device):
+    toy = Toy(rng, device, particles=8)
+    particles, terms = toy.particles(), toy.terms(repulsion=0.3)
+    drift_t, drift_w = rng.normal(size=(2, 8, 3)) * 0.01
+    particles.gradient_position, particles.gradient_rotation = vec3(drift_t, device), vec3(drift_w, device)
+    group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 4], [4, 4])]
+    moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
+    launch(warp_match.stein, 8, [0.7, terms, toy.hand(), *group, particles], moved, device)
+    for g in range(2):
+        own = toy.preshape == g
+        R = se3.matrix_from_quaternion(toy.q[own])
+        inverse = R @ toy.inverse[g] @ np.swapaxes(R, 1, 2)
+        moves, spins = reference.stein_directions(
+            toy.t[own], toy.q[own], drift_t[own], drift_w[own], 0.7, 0.3, inverse, len(toy.samples[g])
+        )
+        np.testing.assert_allclose(moved[0].numpy()[own], toy.t[own] + moves, rtol=1e-3, atol=1e-5)
+        spins *= np.minimum(1.0, 0.5 / np.linalg.norm(spins, axis=-1, keepdims=True))
+        turned = se3.quaternion_multiply(se3.quaternion_exp(spins), toy.q[own])
+        found = np.roll(moved[1].numpy()[own], 1, axis=-1)
+        np.testing.assert_allclose(np.abs(np.sum(found * turned, axis=-1)), 1.0, atol=1e-5)
+
+
+def test_lone_particle_without_repulsion_takes_the_plain_step(rng, device):
+    toy = Toy(rng, device, particles=2)
+    terms = toy.terms(repulsion=0.0)
+    stein, plain = toy.particles(), toy.particles()
+    for particles in (stein, plain):
+        toy.gradients(np.full((1, 3), 9.0), terms, particles)
+    group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 1], [1, 1])]
+    moved = [wp.empty_like(stein.position), wp.empty_like(stein.rotation)]
+    launch(warp_match.stein, 2, [1.0, terms, toy.hand(), *group, stein], moved, device)
+    launch(warp_match.descend, 2, [terms, plain], [], device)
+    np.testing.assert_allclose(moved[0].numpy(), plain.position.numpy(), atol=1e-6)
+    np.testing.assert_allclose(moved[1].numpy(), plain.rotation.numpy(), atol=1e-6)
+
+
+def test_closed_form_step_matches_the_reference(rng, device):
+    toy = Toy(rng, device)
+    particles, terms = toy.particles(), toy.terms(com_weight=0.0)
+    field = covering_nearest_field(toy.target, 0.004, 0.05, 200, device)
+    launch(warp_match.align, len(toy.t), [toy.hand(), field, terms, particles], [], device)
+    for i, g in enumerate(toy.preshape):
+        R = se3.matrix_from_quaternion(toy.q[i])
+        paired = reference.pairs(toy.samples[g] @ R.T + toy.t[i], toy.target)
+        T = reference.align(toy.samples[g], paired, toy.weights[g])
+        np.testing.assert_allclose(particles.position.numpy()[i], T[:3, 3], atol=2e-5)
+        found = se3.matrix_from_quaternion(np.roll(particles.rotation.numpy()[i].astype(float), 1))
+        np.testing.assert_allclose(found, T[:3, :3], atol=2e-3)
+
+
+def test_results_do_not_depend_on_the_number_of_threads(rng, monkeypatch):
+    toy = Toy(rng, "cpu", particles=20)
+    scene = rng.uniform(-0.06, 0.06, size=(400, 3))
+    found = []
+    for threads in ("1", "2", "4"):
+        monkeypatch.setenv("GRASPMATCH_THREADS", threads)
+        particles = toy.particles()
+        toy.gradients(scene, toy.terms(), particles)
+        found.append(np.concatenate([particles.gradient_position.numpy(), particles.gradient_rotation.numpy()]))
+    assert np.array_equal(found[0], found[1]) and np.array_equal(found[0], found[2])

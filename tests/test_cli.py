@@ -185,7 +185,7 @@ def test_a_plan_is_a_table_files_and_one_json_object(mug_file: Path, tmp_path: P
     assert record["provenance"]["seed"] == 7
     assert record["tally"]["candidates"] > 0
     assert sum(record["seconds"].values()) > 0
-    assert "position mm" in output.err
+    assert "preshape" in output.err
 
     assert main(["plan", str(mug_file), "--gripper", "franka_hand", "-o", str(outputs[1]), *words[:-1], "--quiet"]) == 0
     assert capsys.readouterr().out == ""
@@ -210,3 +210,11 @@ def test_no_grasp_is_explained_and_writes_nothing(tmp_path: Path, capsys: Captur
 
 def test_unknown_numbers_are_null_in_json() -> None:
     assert report.finite_or_null({"a": [1.0, float("nan")], "b": float("inf")}) == {"a": [1.0, None], "b": None}
+
+
+def test_the_demo_writes_every_kind_of_file(tmp_path: Path, capsys: Captured) -> None:
+    assert main(["demo", "--folder", str(tmp_path / "demo"), "--device", "cpu"]) == 0
+    assert sorted(path.name for path in (tmp_path / "demo").iterdir()) == ["grasps.npz", "grasps.png", "grasps.yaml"]
+    assert len(read_grasps(tmp_path / "demo" / "grasps.npz")) >= 10
+    assert (tmp_path / "demo" / "grasps.png").read_bytes().startswith(b"\x89PNG")
+    assert "grasps for franka_hand" in capsys.readouterr().out

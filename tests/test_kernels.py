@@ -185,7 +185,19 @@ class Toy:
         hand.inverse_inertia = wp.array(np.array(self.inverse), dtype=wp.mat33, device=self.device)
         hand.distance = stack_fields([self.distance, self.distance], self.device)
         hand.nearest_sample = wp.array(np.concatenate(self.nearest), dtype=wp.int32, device=self.device)
+        corners = np.array(list(np.ndindex(2, 2, 2))) * 2 * self.half - self.half
+        hand.outline = vec3(np.tile(corners, (2, 1)), self.device)
+        hand.outline_start = wp.array([0, 8], dtype=wp.int32, device=self.device)
+        hand.outline_count = wp.array([8, 8], dtype=wp.int32, device=self.device)
         return hand
+
+    def surroundings(self, points, targets=None, table=None):
+        scene = warp_match.Surroundings()
+        scene.points, scene.targets = vec3(points, self.device), len(points) if targets is None else targets
+        scene.has_table = int(table is not None)
+        if table is not None:
+            scene.normal, scene.offset = wp.vec3(*table[0]), table[1]
+        return scene
 
     def particles(self):
         n, device = len(self.t), self.device
@@ -212,11 +224,11 @@ class Toy:
         terms.learning_rate, terms.convergence = 1.0, 0.0
         return terms
 
-    def gradients(self, scene, terms, particles):
+    def gradients(self, scene, terms, particles, **kwargs):
         # A fine field makes the nearest neighbour exact for so few points.
         field = covering_nearest_field(self.target, 0.004, 0.05, 200, self.device)
         batch = [wp.array(v, dtype=wp.int32, device=self.device) for v in ([0, 0], [len(s) for s in self.samples])]
-        inputs = [self.hand(), field, vec3(scene, self.device), terms, *batch, 0, 0, particles]
+        inputs = [self.hand(), field, self.surroundings(scene, **kwargs), terms, *batch, 0, 0, particles]
         launch(warp_match.gradients, len(self.t), inputs, [], self.device)
 
 
@@ -255,6 +267,32 @@ def test_colliding_particles_follow_the_collision_gradient(rng, device):
         R = se3.matrix_from_quaternion(toy.q[i])
         by_t = (toy.samples[g][paired] @ R.T + toy.t[i] - inside_object).mean(axis=0)
         np.testing.assert_allclose(particles.gradient_position.numpy()[i], by_t, atol=5e-4)
+
+
+def test_hand_below_the_table_is_lifted_by_its_corners(rng, device):
+    toy = Toy(rng, device)
+    particles = toy.particles()
+    toy.gradients(np.full((1, 3), 9.0), toy.terms(), particles, table=((0.0, 0.0, 1.0), 0.02))
+    corners = np.array(list(np.ndindex(2, 2, 2))) * 2 * toy.half - toy.half
+    for i in range(len(toy.t)):
+        height = (corners @ se3.matrix_from_quaternion(toy.q[i]).T + toy.t[i])[:, 2] - 0.02
+        below = height[height < 0]
+        assert particles.colliding.numpy()[i] == len(below)
+        if len(below):
+            expected = [0.0, 0.0, below.mean()]
+            np.testing.assert_allclose(particles.gradient_position.numpy()[i], expected, **TIGHT)
+
+
+def test_obstacles_leave_the_hand_where_they_came_in(rng, device):
+    """A single obstacle point inside a box: the box moves by the point's depth, away from the nearest face."""
+    toy = Toy(rng, device)
+    inside = np.array([0.002, 0.004, 0.007])  # nearest to the face z = 10 mm
+    for i in range(len(toy.t)):
+        particles = toy.particles()
+        R = se3.matrix_from_quaternion(toy.q[i])
+        toy.gradients((R @ inside + toy.t[i])[None], toy.terms(), particles, targets=0)
+        moved = R.T @ particles.gradient_position.numpy()[i]
+        np.testing.assert_allclose(moved, [0.0, 0.0, 0.003], atol=3e-4)
 
 
 def test_stein_step_matches_the_reference(rng, device):

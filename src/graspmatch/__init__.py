@@ -1,1 +1,48 @@
-"""Grasp planning by parallel shape matching."""
+"""Grasp planning by parallel shape matching: a point cloud and a gripper in, ranked collision-free grasps out."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+from graspmatch.errors import GraspmatchError as GraspmatchError
+
+if TYPE_CHECKING:
+    from graspmatch.config import PlannerConfig as PlannerConfig
+    from graspmatch.formats.registry import read_grasps as read_grasps
+    from graspmatch.formats.registry import write_grasps as write_grasps
+    from graspmatch.gripper.load import load_gripper as load_gripper
+    from graspmatch.gripper.zoo import known_grippers as known_grippers
+    from graspmatch.planner.plan import plan as plan
+    from graspmatch.scene.scene import Scene as Scene
+    from graspmatch.types import GraspSet as GraspSet
+    from graspmatch.types import Gripper as Gripper
+    from graspmatch.types import Plane as Plane
+    from graspmatch.types import PointCloud as PointCloud
+
+# Where the public names live: each arrives with its first use, so that the import itself loads NumPy only.
+_HOMES = {
+    "GraspSet": "graspmatch.types",
+    "Gripper": "graspmatch.types",
+    "Plane": "graspmatch.types",
+    "PlannerConfig": "graspmatch.config",
+    "PointCloud": "graspmatch.types",
+    "Scene": "graspmatch.scene.scene",
+    "known_grippers": "graspmatch.gripper.zoo",
+    "load_gripper": "graspmatch.gripper.load",
+    "plan": "graspmatch.planner.plan",
+    "read_grasps": "graspmatch.formats.registry",
+    "write_grasps": "graspmatch.formats.registry",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'graspmatch' has no attribute '{name}'. Public: {', '.join(sorted(_HOMES))}")
+    value = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

@@ -19,11 +19,14 @@ ROWS = 10
 
 
 def table_of_grasps(grasps: GraspSet, gripper: Gripper) -> Table:
-    """The best grasps, one a row; position and approach of the gripper frame in the world frame."""
+    """The best grasps, one a row: root of the loss, position and approach of the gripper frame in the world frame."""
     shown = min(len(grasps), ROWS)
     title = f"{len(grasps)} grasps for {gripper.name}" + (f", the best {shown}" if shown < len(grasps) else "")
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in ("rank", "preshape", "score", "loss mm", "free mm", "touch", "position mm", "approach"):
+    # Narrow enough for a terminal of 80 columns.
+    table = Table(
+        title=f"{title}; lengths in mm", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
+    )
+    for name in ("#", "preshape", "score", "loss", "clear", "touch", "position", "approach"):
         justify = "left" if name == "preshape" else "right"
         table.add_column(name, justify=justify, no_wrap=name != "preshape", overflow="fold")
     approach_world = grasps.T_world_gripper[:, :3, :3] @ gripper.approach

@@ -33,7 +33,7 @@ class BakedLinks:
 
     links: tuple[Link, ...]
     fields: tuple[Grid, ...]
-    hulls: tuple[Float[np.ndarray, "v 3"], ...]
+    hulls: tuple[Float[np.ndarray, "_ 3"], ...]
 
 
 def bake_links(links: Sequence[Link], config: BakingConfig) -> BakedLinks:

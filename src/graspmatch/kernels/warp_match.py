@@ -30,6 +30,20 @@ class Hand:
     inverse_inertia: wp.array(dtype=wp.mat33)
     distance: FieldStack
     nearest_sample: wp.array(dtype=wp.int32)
+    outline: wp.array(dtype=wp.vec3)
+    outline_start: wp.array(dtype=wp.int32)
+    outline_count: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Surroundings:
+    """C of the paper: points of the target, then those of obstacles, and the table as the plane normal . x = offset."""
+
+    points: wp.array(dtype=wp.vec3)
+    targets: wp.int32
+    normal: wp.vec3
+    offset: wp.float32
+    has_table: wp.int32
 
 
 @wp.struct
@@ -87,28 +101,59 @@ def matching_pass(hand: Hand, target: NearestField, g: int, p: wp.vec3, q: wp.qu
 
 
 @wp.func
-def collision_pass(hand: Hand, scene: wp.array(dtype=wp.vec3), g: int, p: wp.vec3, q: wp.quat):
-    """Eqs. (12) and (18): the scene in the hand's frame, its points inside the hand, and the pull of the nearest inner
-    surface towards them."""
+def collision_pass(hand: Hand, scene: Surroundings, g: int, p: wp.vec3, q: wp.quat):
+    """Eqs. (12) and (18): the scene in the hand's frame, its points inside the hand, and the pull of a surface of the
+    hand towards each. For the target it is the inner surface, so that the object ends up between the fingers. Obstacles
+    and table must get out of the hand where they came in: the nearest surface, the corner that is below."""
     gt = wp.vec3(0.0, 0.0, 0.0)
     gw = wp.vec3(0.0, 0.0, 0.0)
     error = float(0.0)
     colliding = int(0)
     dims = hand.distance.dims[g]
-    for c in range(scene.shape[0]):
-        x = wp.quat_rotate_inv(q, scene[c] - p)
+    for c in range(scene.points.shape[0]):
+        x = wp.quat_rotate_inv(q, scene.points[c] - p)
         u = node_units(hand.distance, g, x)
-        if is_inside(u, dims) and interpolate(hand.distance, g, x) < 0.0:
-            node = (int(u[0] + 0.5) * dims[1] + int(u[1] + 0.5)) * dims[2] + int(u[2] + 0.5)
-            s = hand.samples[hand.start[g] + hand.nearest_sample[hand.distance.start[g] + node]]
+        depth = float(0.0)
+        if is_inside(u, dims):
+            depth = -interpolate(hand.distance, g, x)
+        if depth > 0.0:
+            s = x + depth * outwards(hand.distance, g, x)
+            if c < scene.targets:
+                node = (int(u[0] + 0.5) * dims[1] + int(u[1] + 0.5)) * dims[2] + int(u[2] + 0.5)
+                s = hand.samples[hand.start[g] + hand.nearest_sample[hand.distance.start[g] + node]]
             lever = wp.quat_rotate(q, s)
-            residual = p + lever - scene[c]
+            residual = p + lever - scene.points[c]
             gt += residual
             gw += wp.cross(lever, residual)
             error += wp.length_sq(residual)
             colliding += 1
+    if scene.has_table != 0:
+        for v in range(hand.outline_count[g]):
+            lever = wp.quat_rotate(q, hand.outline[hand.outline_start[g] + v])
+            height = wp.dot(scene.normal, p + lever) - scene.offset
+            if height < 0.0:
+                gt += height * scene.normal
+                gw += height * wp.cross(lever, scene.normal)
+                error += height * height
+                colliding += 1
     scale = 1.0 / float(wp.max(colliding, 1))
     return scale * gt, scale * gw, scale * error, colliding
+
+
+@wp.func
+def outwards(stack: FieldStack, g: int, x: wp.vec3) -> wp.vec3:
+    """Direction in which a distance field grows."""
+    h = 0.5 * stack.spacing
+    dx = wp.vec3(h, 0.0, 0.0)
+    dy = wp.vec3(0.0, h, 0.0)
+    dz = wp.vec3(0.0, 0.0, h)
+    return wp.normalize(
+        wp.vec3(
+            interpolate(stack, g, x + dx) - interpolate(stack, g, x - dx),
+            interpolate(stack, g, x + dy) - interpolate(stack, g, x - dy),
+            interpolate(stack, g, x + dz) - interpolate(stack, g, x - dz),
+        )
+    )
 
 
 @wp.kernel
@@ -116,7 +161,7 @@ def gradients(
     first: int,
     hand: Hand,
     target: NearestField,
-    scene: wp.array(dtype=wp.vec3),
+    scene: Surroundings,
     terms: Terms,
     batch_offset: wp.array(dtype=wp.int32),
     batch_size: wp.array(dtype=wp.int32),

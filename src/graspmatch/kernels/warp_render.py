@@ -9,7 +9,7 @@ to their number, so that equal shares of a launch cost about the same: the sky o
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 BACKGROUND = wp.constant(-1)
 FLOOR = wp.constant(-2)

@@ -14,7 +14,6 @@ from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_avoid import back_off, least_distance
 from graspmatch.kernels.warp_fields import FieldStack
 from graspmatch.planner.candidates import Candidates, Free, Matched
-from graspmatch.planner.surroundings import solid_points
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Plane
@@ -64,7 +63,8 @@ class Space:
 
 def upload_space(scene: Scene, gripper: Gripper, device: str) -> Space:
     """The dense cloud: at 2.5 mm between points nothing slips between them at a clearance of 2 mm."""
-    points = wp.array(solid_points(scene) - scene.centre_of_mass, dtype=wp.vec3, device=device)
+    solid = np.concatenate([scene.target.points, scene.obstacles.points]) - scene.centre_of_mass
+    points = wp.array(solid, dtype=wp.vec3, device=device)
     corridor = stack_fields([preshape.corridor for preshape in gripper.preshapes], device)
     return Space(gripper, scene.table, points, scene.centre_of_mass, corridor, device)
 
@@ -131,7 +131,9 @@ def table_retreat(candidates: Candidates, space: Space, config: CollisionConfig)
     approach_world = candidates.T_world_gripper[:, :3, :3] @ space.gripper.approach
     rise = -approach_world @ space.table.normal  # height gained per way back
     retreat = np.where(missing > 0, missing / np.where(rise > 1e-3, rise, np.nan), 0.0)
-    start_is_clear = missing <= space.gripper.approach_distance * rise
+    # An approach from below begins lower still, and lower by what clearing the points will take.
+    farthest = space.gripper.approach_distance + config.largest_retreat
+    start_is_clear = (rise >= 0) | (missing <= farthest * rise)
     return np.where(np.isnan(retreat) | ~start_is_clear, np.inf, retreat)
 
 

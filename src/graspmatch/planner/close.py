@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from graspmatch.config import ClosingConfig
 from graspmatch.geometry.grid import Grid
@@ -35,7 +35,7 @@ def close_fingers(
         touches.sum(axis=-1) >= config.fewest_fingers, "fingers that close on nothing", among=reaches
     )
     free, fraction = free.select(keep), fraction[keep]
-    return Closed(**vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free, fraction, gripper))
+    return Closed(**vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free.preshape, fraction, gripper))
 
 
 def contact_fractions(
@@ -69,13 +69,15 @@ def table_fractions(free: Free, table: Plane, gripper: Gripper) -> Float[np.ndar
     return fractions
 
 
-def contact_joints(free: Free, fraction: Float[np.ndarray, "n f"], gripper: Gripper) -> Float[np.ndarray, "n d"]:
+def contact_joints(
+    preshape: Int[np.ndarray, "n"], fraction: Float[np.ndarray, "n f"], gripper: Gripper
+) -> Float[np.ndarray, "n d"]:
     """Driven joint values at first contact.
 
     Fingers that share a drive stop together: the object slides until both touch, at the mean of their fractions.
     A finger that meets nothing closes fully.
     """
-    pregrasp = np.array([preshape.joints for preshape in gripper.preshapes])[free.preshape]
+    pregrasp = np.array([posture.joints for posture in gripper.preshapes])[preshape]
     joints = pregrasp.copy()
     for j in range(len(gripper.joint_names)):
         moved = [f for f, finger in enumerate(gripper.fingers) if j in finger.joints]

@@ -20,7 +20,6 @@ from graspmatch.kernels.fields import covering_nearest_field, stack_fields
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_fields import NearestField
 from graspmatch.planner.candidates import Candidates, Matched
-from graspmatch.planner.surroundings import collision_cloud
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Preshape
 
@@ -48,7 +47,7 @@ class Problem:
     target_points: Float[np.ndarray, "n 3"]
     """R, in the object frame [m]."""
     target: NearestField
-    surroundings: wp.array
+    surroundings: warp_match.Surroundings
     """C, in the object frame."""
     terms: warp_match.Terms
     device: str
@@ -59,7 +58,6 @@ def prepare(
 ) -> Problem:
     """Thin the clouds, build the nearest-neighbour field, upload the hand."""
     target_points = voxel_downsample(scene.target.points - scene.centre_of_mass, config.voxel_size, origin=np.zeros(3))[0]
-    surroundings = collision_cloud(scene, config.collision_voxel_size) - scene.centre_of_mass
     hand, samples = upload_hand(gripper.preshapes, rng, device)
     return Problem(
         hand=hand,
@@ -68,7 +66,7 @@ def prepare(
         centre_of_mass=scene.centre_of_mass,
         target_points=target_points,
         target=nearest_to(target_points, config, device),
-        surroundings=wp.array(surroundings, dtype=wp.vec3, device=device),
+        surroundings=upload_surroundings(scene, config.collision_voxel_size, device),
         terms=terms_of(config),
         device=device,
     )
@@ -192,6 +190,20 @@ def nearest_to(points: Float[np.ndarray, "n 3"], config: MatchingConfig, device:
     return covering_nearest_field(points, config.voxel_size, FIELD_MARGIN, FIELD_NODES, device)
 
 
+def upload_surroundings(scene: Scene, spacing: float, device: str) -> warp_match.Surroundings:
+    """C: target and obstacles thinned to `spacing` [m], and the table as the plane that it is."""
+    own, others = (voxel_downsample(cloud.points, spacing)[0] for cloud in (scene.target, scene.obstacles))
+    points = np.concatenate([own, others]) - scene.centre_of_mass
+    surroundings = warp_match.Surroundings()
+    surroundings.points = wp.array(points, dtype=wp.vec3, device=device)
+    surroundings.targets = len(own)
+    surroundings.has_table = int(scene.table is not None)
+    if scene.table is not None:
+        surroundings.normal = wp.vec3(*scene.table.normal)
+        surroundings.offset = scene.table.offset - float(scene.table.normal @ scene.centre_of_mass)
+    return surroundings
+
+
 def terms_of(config: MatchingConfig) -> warp_match.Terms:
     """The weights of the loss; the centre of mass is the origin of the object frame."""
     terms = warp_match.Terms()
@@ -227,6 +239,11 @@ def upload_hand(
     shifted = [p.hand.shifted(-pivot) for p, pivot in zip(preshapes, pivots, strict=True)]
     hand.distance = stack_fields(shifted, device)
     hand.nearest_sample = wp.array(np.concatenate(nearest), dtype=wp.int32, device=device)
+    corners = [len(p.outline) for p in preshapes]
+    outlines = [p.outline - pivot for p, pivot in zip(preshapes, pivots, strict=True)]
+    hand.outline = wp.array(np.concatenate(outlines), dtype=wp.vec3, device=device)
+    hand.outline_start = wp.array(np.cumsum([0, *corners[:-1]]), dtype=wp.int32, device=device)
+    hand.outline_count = wp.array(corners, dtype=wp.int32, device=device)
     return hand, counts
 
 

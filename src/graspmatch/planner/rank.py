@@ -6,26 +6,26 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from graspmatch.config import RankingConfig
-from graspmatch.planner.candidates import Candidates, Closed
+from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.tally import Tally
 
 
 def rank(
-    closed: Closed, loss: Float[np.ndarray, "n"], config: RankingConfig, tally: Tally
+    candidates: Candidates, loss: Float[np.ndarray, "n"], config: RankingConfig, tally: Tally
 ) -> Int[np.ndarray, "k"]:
     """Indices of the best distinct candidates, lowest loss first."""
-    order = np.lexsort((np.arange(len(closed)), loss))
+    order = np.lexsort((np.arange(len(candidates)), loss))
     kept: list[int] = []
     doubles = 0
     for index in order:
         if len(kept) == config.count:
             break
-        if is_double(closed, int(index), kept, config):
+        if is_double(candidates, int(index), kept, config):
             doubles += 1
         else:
             kept.append(int(index))
     tally.counts["much like a better one"] = doubles
-    tally.counts["ranked lower than asked for"] = len(closed) - len(kept) - doubles
+    tally.counts["ranked lower than asked for"] = len(candidates) - len(kept) - doubles
     return np.array(kept, dtype=int)
 
 

@@ -27,19 +27,27 @@ def collision_world(mesh: trimesh.Trimesh, table_height: float) -> trimesh.colli
     return world
 
 
-def touches(world, gripper, hand, T_world_gripper, joints) -> list[str]:
-    """What the hand's link meshes intersect in the given posture."""
-    met = set()
-    for link, T in zip(gripper.links, pose_links(hand, joints), strict=True):
-        body = trimesh.Trimesh(link.collision.vertices, link.collision.faces, process=False)
-        hit, names = world.in_collision_single(body, T_world_gripper @ T, return_names=True)
-        met |= {f"{link.name} in {name}" for name in names} if hit else set()
-    return sorted(met)
+class Body:
+    """A hand for the judge: the real triangles of its links."""
+
+    def __init__(self, name: str) -> None:
+        self.gripper, self.model = load_gripper(name), load_hand(card_path(name))
+        self.links = trimesh.collision.CollisionManager()
+        for link in self.gripper.links:
+            mesh = trimesh.Trimesh(link.collision.vertices, link.collision.faces, process=False)
+            self.links.add_object(link.name, mesh)
+
+    def touches(self, world: trimesh.collision.CollisionManager, T_world_gripper, joints) -> set[tuple[str, str]]:
+        """Which link intersects what."""
+        for link, T in zip(self.gripper.links, pose_links(self.model, joints), strict=True):
+            self.links.set_transform(link.name, T_world_gripper @ T)
+        return self.links.in_collision_other(world, return_names=True)[1]
 
 
 @pytest.mark.parametrize("name", HANDS)
 def test_paper_objects_have_grasps_that_touch_nothing(name, shared_data):
-    gripper, hand = load_gripper(name), load_hand(card_path(name))
+    hand = Body(name)
+    gripper = hand.gripper
     for object_name in OBJECTS:
         path = shared_data / "objects" / "paper" / object_name / "mesh.stl"
         scene = Scene.from_mesh(path)
@@ -51,16 +59,16 @@ def test_paper_objects_have_grasps_that_touch_nothing(name, shared_data):
         for T, joints in zip(grasps.T_world_gripper, grasps.pregrasp_joints, strict=True):
             for back in np.linspace(0.0, gripper.approach_distance, 6):
                 pose = T @ se3.translation(-back * gripper.approach)
-                assert not touches(world, gripper, hand, pose, joints), f"{object_name}, {back * 1000:.0f} mm back"
+                assert not hand.touches(world, pose, joints), f"{object_name}, {back * 1000:.0f} mm back"
 
 
 def test_the_judge_sees_a_hand_that_is_pushed_into_the_object(shared_data):
-    gripper, hand = load_gripper("franka_hand"), load_hand(card_path("franka_hand"))
+    hand = Body("franka_hand")
     scene = Scene.from_mesh(shared_data / "objects" / "paper" / "Milk" / "mesh.stl")
     assert scene.table is not None and scene.mesh is not None
     mesh = trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces, process=False)
     world = collision_world(mesh, scene.table.offset)
     down = se3.from_parts(np.diag([1.0, -1.0, -1.0]), scene.centre_of_mass + [0, 0, 0.09])
-    assert any("object" in touch for touch in touches(world, gripper, hand, down, np.array([0.02])))
+    assert any("object" in pair for pair in hand.touches(world, down, np.array([0.02])))
     low = se3.from_parts(np.diag([1.0, -1.0, -1.0]), scene.centre_of_mass * [1, 1, 0] + [0.2, 0, 0.09])
-    assert any("table" in touch for touch in touches(world, gripper, hand, low, np.array([0.04])))
+    assert any("table" in pair for pair in hand.touches(world, low, np.array([0.04])))

@@ -251,7 +251,7 @@ def test_adding_obstacles_never_frees_a_grasp(toy):
     blocked = replace(scene, obstacles=PointCloud(rng.uniform([0.2, -0.3, 0], [0.4, -0.1, 0.2], size=(300, 3))))
     R = se3.matrix_from_quaternion(se3.random_quaternions(400, rng))
     poses = se3.from_parts(R, scene.centre_of_mass + rng.normal(size=(400, 3)) * 0.06)
-    config = CollisionConfig(most_opened=0)
+    config = CollisionConfig(may_open=False)
     before, free = free_mask(scene, toy, poses, config)
     after, still_free = free_mask(blocked, toy, poses, config)
     assert before.sum() > after.sum() > 0

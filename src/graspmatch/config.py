@@ -80,9 +80,9 @@ class MatchingConfig:
     """C of eq. (11)."""
     annealing_exponent: float = 2.0
     """p of eq. (11)."""
-    repulsion: float = 0.01
-    """Weight of the kernel's gradient in eq. (8), which is the variance [m2] that the likelihood gives a residual; zero
-    turns the particles' repulsion off."""
+    repulsion: float = 1.0
+    """Weight of the kernel's gradient in eq. (8), 1 as printed: the variance [m2] that the likelihood gives a residual.
+    Zero turns the particles' repulsion off."""
     prior_translation: float = 0.3
     """Standard deviation of the Gaussian prior around each seed [m]."""
     prior_concentration: float = 1.0
@@ -99,8 +99,8 @@ class CollisionConfig:
     """Least distance of hand and approach to everything [m]; scans bulge, and a touch topples a bottle."""
     largest_retreat: float = 0.05
     """How far a match may be backed off along its approach until it is free [m]."""
-    most_opened: int = 2
-    """By how many steps of the closing motion the fingers may be opened again until the match is free."""
+    may_open: bool = True
+    """Whether a match that is not free may be approached in a wider preshape."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import warp as wp
 from jaxtyping import Float, Int, UInt8
 
 from graspmatch.geometry.mesh import TriangleMesh, concatenate, face_normals_areas
-from graspmatch.geometry.se3 import apply, from_parts, inverse
+from graspmatch.geometry.se3 import apply, from_parts, inverse, rotation_facing
 from graspmatch.kernels import warp_render
 from graspmatch.kernels.launch import launch, resolve_device
 from graspmatch.types import GraspmatchError, Plane
@@ -20,7 +20,7 @@ from graspmatch.types import GraspmatchError, Plane
 Array = np.ndarray
 
 CREASE = math.radians(43.0)
-"""Faces that meet at a smaller angle are shaded as one smooth surface: an icosahedron is, the chamfer of a box is not."""
+"""Faces that meet at a smaller angle are shaded as one: an icosahedron looks round, the chamfer of a box flat."""
 
 
 @dataclass(frozen=True)
@@ -48,19 +48,22 @@ def camera_around(
     fov_deg: float = 26.0,
     *,
     aspect: float = 1.5,
-    margin: float = 0.08,
+    margin: float = 0.1,
+    up: Float[Array, "3"] | None = None,
 ) -> Camera:
     """The nearest camera in a direction that frames all bodies, or the box between two corners, tightly.
 
-    `azimuth_deg` is where the camera stands, counter-clockwise about z from x; `aspect` is width over height, `margin`
-    the share of the picture left free on each side.
+    `azimuth_deg` is where the camera stands, counter-clockwise about `up` (z by default) from x; `aspect` is width over
+    height, `margin` the share of the picture left free on each side.
     """
+    up = np.array([0.0, 0.0, 1.0]) if up is None else up
+    R_world_upright = rotation_facing(up, np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0]))
     azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
     forward = -np.array(
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
     )
     right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
-    R_world_camera = np.stack([right, np.cross(forward, right), forward], axis=-1)
+    R_world_camera = R_world_upright @ np.stack([right, np.cross(forward, right), forward], axis=-1)
     x, y, z = (_outer_points(shown) @ R_world_camera).T
     tangent = math.tan(math.radians(fov_deg) / 2) * (1 - 2 * margin)
     # Each side of the picture bounds the camera's place in its own plane; the nearest place touches both bounds.
@@ -91,26 +94,28 @@ def render(
     device = resolve_device(device)
     stage = _upload(bodies, device)
     view = _view(camera, size)
-    setting = _setting(bodies, camera, table)
+    setting = _setting(stage, camera, table)
     samples = 4 * size[0] * size[1]
     seen = _find_surfaces(stage, view, setting, device)
     light = wp.zeros((2 * size[1], 2 * size[0]), dtype=wp.vec2, device=device)
     launch(warp_render.gather_light, samples, [stage.mesh.id, view, setting, *seen], [light], device)
+    colour = wp.empty(light.shape, dtype=wp.vec3, device=device)
+    paints = [stage.body_rgb, stage.ghost_ids, stage.ghost_rgba]
+    launch(warp_render.shade, samples // 4, [view, setting, *paints, *seen, light], [colour], device)
     image = wp.empty((size[1], size[0], 3), dtype=wp.uint8, device=device)
-    colours = [stage.body_rgb, stage.ghost_ids, stage.ghost_rgba]
-    launch(warp_render.shade, samples // 4, [view, setting, *colours, *seen, light], [image], device)
+    launch(warp_render.develop, samples // 4, [view, colour], [image], device)
     return image.numpy()
 
 
 def visible_shares(
-    bodies: Sequence[Body], cameras: Sequence[Camera], *, size: tuple[int, int] = (120, 80), device: str = "cpu"
+    bodies: Sequence[Body], cameras: Sequence[Camera], *, size: tuple[int, int] = (60, 40), device: str = "cpu"
 ) -> Float[Array, "c b"]:
     """Share of the picture in which each camera sees each body; a ghost hides nothing and counts as unseen."""
     device = resolve_device(device)
-    stage = _upload(bodies, device)
+    stage = _upload(bodies, device, smooth=False)
     shares = np.zeros((len(cameras), len(bodies)))
     for i, camera in enumerate(cameras):
-        seen = _find_surfaces(stage, _view(camera, size), _setting(bodies, camera, None), device)
+        seen = _find_surfaces(stage, _view(camera, size), _setting(stage, camera, None), device)
         index = seen[0].numpy().ravel()
         shares[i] = np.bincount(index[index >= 0], minlength=len(bodies)) / index.size
     return shares
@@ -119,9 +124,9 @@ def visible_shares(
 def corner_normals(mesh: TriangleMesh, crease: float = CREASE) -> Float[Array, "f 3 3"]:
     """Unit normal at each corner of each face: mean over faces that share the vertex and meet it at less than `crease`
     [rad], weighted by their angles there. Vertices at the same place count as one."""
-    if len(mesh.faces) == 0:
-        return np.zeros((0, 3, 3))
     normals = face_normals_areas(mesh)[0]
+    if crease == 0 or len(mesh.faces) == 0:
+        return np.repeat(normals[:, None], 3, axis=1)
     weights = _corner_angles(mesh).ravel()
     vertex = _welded(mesh.vertices)[mesh.faces].ravel()
     order = np.argsort(vertex, kind="stable")
@@ -157,8 +162,10 @@ def _welded(vertices: Float[Array, "v 3"]) -> Int[Array, "v"]:
 
 @dataclass(frozen=True)
 class _Stage:
-    """Bodies on the device: the opaque ones in one mesh, each ghost in its own."""
+    """Bodies on the device: the opaque ones in one mesh, each ghost in its own; and the box [m] around all of them."""
 
+    lower: Float[Array, "3"]
+    upper: Float[Array, "3"]
     mesh: Any
     face_body: Any
     corner_normals: Any
@@ -168,19 +175,23 @@ class _Stage:
     ghost_rgba: Any
 
 
-def _upload(bodies: Sequence[Body], device: str) -> _Stage:
+def _upload(bodies: Sequence[Body], device: str, *, smooth: bool = True) -> _Stage:
     solid = [i for i, body in enumerate(bodies) if body.rgba[3] >= 1 and len(body.mesh.faces)]
     ghostly = [body for body in bodies if body.rgba[3] < 1 and len(body.mesh.faces)]
     meshes = [bodies[i].mesh for i in solid]
     merged = concatenate(meshes)
     if not meshes:  # a mesh for rays needs a triangle: one that no ray can hit
         merged = TriangleMesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
-    normals = np.concatenate([np.zeros((0, 3, 3)), *(corner_normals(mesh) for mesh in meshes)])
+    crease = CREASE if smooth else 0.0
+    normals = np.concatenate([np.zeros((0, 3, 3)), *(corner_normals(mesh, crease) for mesh in meshes)])
     owner = np.repeat(solid, [len(mesh.faces) for mesh in meshes])
     rgb = np.array([_linear(body.rgba[:3]) for body in bodies]).reshape(-1, 3)
     ghosts = [_warp_mesh(body.mesh, device) for body in ghostly]
     ghost_rgba = np.array([(*_linear(body.rgba[:3]), body.rgba[3]) for body in ghostly]).reshape(-1, 4)
+    points = _outer_points(bodies) if bodies else np.zeros((1, 3))
     return _Stage(
+        lower=points.min(axis=0),
+        upper=points.max(axis=0),
         mesh=_warp_mesh(merged, device),
         face_body=wp.array(owner, dtype=int, device=device),
         corner_normals=wp.array(normals, dtype=wp.vec3, device=device),
@@ -227,13 +238,12 @@ def _view(camera: Camera, size: tuple[int, int]) -> Any:
     return view
 
 
-def _setting(bodies: Sequence[Body], camera: Camera, table: Plane | None) -> Any:
+def _setting(stage: _Stage, camera: Camera, table: Plane | None) -> Any:
     """Light from the upper left behind the camera; lengths follow the size of what is shown."""
-    points = _outer_points(bodies) if bodies else np.zeros((1, 3))
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    radius = max(float(np.linalg.norm(np.ptp(points, axis=0)) / 2), 1e-6)
-    up = np.array([0.0, 0.0, 1.0]) if table is None else table.normal
-    right, _, forward = camera.T_world_camera[:3, :3].T
+    centre = (stage.lower + stage.upper) / 2
+    radius = max(float(np.linalg.norm(stage.upper - stage.lower)) / 2, 1e-6)
+    right, down, forward = camera.T_world_camera[:3, :3].T
+    up = -down if table is None else table.normal
     back = -(forward - forward @ up * up)
     sun = -0.55 * right + 0.45 * back / max(float(np.linalg.norm(back)), 1e-9) + 0.95 * up
     setting = warp_render.Setting()
@@ -243,7 +253,7 @@ def _setting(bodies: Sequence[Body], camera: Camera, table: Plane | None) -> Any
     setting.sky_colour = wp.vec3(0.52, 0.54, 0.58)
     setting.reach = 0.9 * radius
     setting.lift = 3e-4 * radius
-    setting.top_colour = wp.vec3(*_linear((0.90, 0.92, 0.94)))
+    setting.top_colour = wp.vec3(*_linear((0.82, 0.845, 0.87)))
     setting.bottom_colour = wp.vec3(*_linear((0.965, 0.97, 0.975)))
     setting.up = wp.vec3(*up)
     if table is not None:

@@ -304,13 +304,8 @@ def seen_through_ghosts(
 
 
 @wp.func
-def encoded(x: float) -> float:
-    """Display value 0 to 255 of a linear one: soft shoulder, then the sRGB curve."""
-    if x > 0.75:
-        x = 0.75 + 0.25 * (1.0 - wp.exp(-(x - 0.75) / 0.25))
-    if x < 0.0031308:
-        return 255.0 * 12.92 * x
-    return 255.0 * (1.055 * wp.pow(x, 1.0 / 2.4) - 0.055)
+def same_surface(body: int, n: wp.vec3, step: wp.vec3, other_body: int, other_n: wp.vec3, lift: float) -> bool:
+    return body == other_body and wp.dot(n, other_n) > 0.98 and wp.abs(wp.dot(step, n)) < 0.2 * wp.length(step) + lift
 
 
 @wp.kernel
@@ -325,28 +320,79 @@ def shade(
     position_in: wp.array2d(dtype=wp.vec3),
     normal_in: wp.array2d(dtype=wp.vec3),
     light_in: wp.array2d(dtype=wp.vec2),
-    image_out: wp.array3d(dtype=wp.uint8),
+    colour_out: wp.array2d(dtype=wp.vec3),
 ):
-    """Each pixel from its four samples."""
+    """Linear colours of the four samples of each pixel."""
     at = place(wp.tid() + first, view.width, view.height, view.row_stride)
-    column = at[0]
-    line = at[1]
-    behind = wp.lerp(setting.top_colour, setting.bottom_colour, (float(line) + 0.5) / float(view.height))
-    total = wp.vec3()
+    behind = wp.lerp(setting.top_colour, setting.bottom_colour, (float(at[1]) + 0.5) / float(view.height))
+    light = wp.vec2()
+    light_body = BACKGROUND
+    light_normal = wp.vec3()
+    light_position = wp.vec3()
     for k in range(4):
-        x = 2 * column + k % 2
-        y = 2 * line + k // 2
+        x = 2 * at[0] + k % 2
+        y = 2 * at[1] + k // 2
         d = ray_direction(view, x, y)
         body = body_in[y, x]
+        p = position_in[y, x]
+        n = normal_in[y, x]
         colour = behind
         depth = FAR
         if body != BACKGROUND:
-            light = average_light(x, y, setting.lift, body_in, position_in, normal_in, light_in)
-            depth = wp.length(position_in[y, x] - view.origin)
+            # The samples of a pixel share one tile: on one surface they also share its average.
+            if not same_surface(body, n, p - light_position, light_body, light_normal, setting.lift):
+                light = average_light(x, y, setting.lift, body_in, position_in, normal_in, light_in)
+                light_body = body
+                light_normal = n
+                light_position = p
+            depth = wp.length(p - view.origin)
             if body == FLOOR:
-                colour = floor_radiance(position_in[y, x], light[0], light[1], behind, setting)
+                colour = floor_radiance(p, light[0], light[1], behind, setting)
             else:
-                colour = reflected(body_rgb[body], normal_in[y, x], d, light[0], light[1], setting)
-        total += seen_through_ghosts(colour, depth, d, view, setting, ghosts, ghost_rgba)
+                colour = reflected(body_rgb[body], n, d, light[0], light[1], setting)
+        colour_out[y, x] = seen_through_ghosts(colour, depth, d, view, setting, ghosts, ghost_rgba)
+
+
+@wp.func
+def encoded(x: float) -> float:
+    """Display value 0 to 255 of a linear one (sRGB)."""
+    if x < 0.0031308:
+        return 255.0 * 12.92 * x
+    return 255.0 * (1.055 * wp.pow(x, 1.0 / 2.4) - 0.055)
+
+
+@wp.func
+def with_shoulder(x: float) -> float:
+    """Bright values bend towards 1 instead of being cut there."""
+    if x > 0.75:
+        return 0.75 + 0.25 * (1.0 - wp.exp(-(x - 0.75) / 0.25))
+    return wp.max(x, 0.0)
+
+
+@wp.kernel
+def develop(
+    first: int,
+    view: View,
+    colour_in: wp.array2d(dtype=wp.vec3),
+    image_out: wp.array3d(dtype=wp.uint8),
+):
+    """Pixels from their own four samples and, at a quarter of the weight in each direction, the twelve around them."""
+    at = place(wp.tid() + first, view.width, view.height, view.row_stride)
+    total = wp.vec3()
+    weights = float(0.0)
+    for j in range(4):
+        for i in range(4):
+            x = 2 * at[0] + i - 1
+            y = 2 * at[1] + j - 1
+            if x >= 0 and y >= 0 and x < colour_in.shape[1] and y < colour_in.shape[0]:
+                weight = float(1.0)
+                if i == 0 or i == 3:
+                    weight *= 0.25
+                if j == 0 or j == 3:
+                    weight *= 0.25
+                c = colour_in[y, x]
+                # Compressed before averaging, so that a bright sample does not outshine the edge it lies on.
+                total += weight * wp.vec3(with_shoulder(c[0]), with_shoulder(c[1]), with_shoulder(c[2]))
+                weights += weight
     for c in range(3):
-        image_out[line, column, c] = wp.uint8(wp.clamp(encoded(0.25 * total[c]) + 0.5, 0.0, 255.0))
+        image_out[at[1], at[0], c] = wp.uint8(wp.clamp(encoded(total[c] / weights) + 0.5, 0.0, 255.0))

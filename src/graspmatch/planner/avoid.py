@@ -33,15 +33,17 @@ def keep_free(
     space = upload_space(scene, gripper, device)
     posture = matched.preshape.copy()
     from_table, from_points = (np.full(len(matched), np.inf) for _ in range(2))
-    trial = posture.copy()
-    for _ in range(config.most_opened + 1):
+    trial, wider = posture.copy(), wider_preshapes(gripper)
+    while True:
         retry = np.flatnonzero((np.maximum(from_table, from_points) > RETREAT_STEP) & (trial >= 0))
+        if len(retry) == 0:
+            break
         opened = Candidates(trial[retry], matched.T_world_gripper[retry])
         table, points = table_retreat(opened, space, config), point_retreat(opened, space, config)
         better = np.maximum(table, points) < np.maximum(from_table, from_points)[retry]
         chosen = retry[better]
         posture[chosen], from_table[chosen], from_points[chosen] = trial[chosen], table[better], points[better]
-        trial = np.where(trial >= 0, wider_preshapes(gripper)[trial], -1)
+        trial = np.where((trial >= 0) & config.may_open, wider[trial], -1)
     is_above = tally.keep(from_table <= config.largest_retreat, "in collision with the table")
     is_clear = tally.keep(from_points <= config.largest_retreat, "in collision with the object on the way in", is_above)
     keep = is_above & is_clear

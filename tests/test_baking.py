@@ -1,11 +1,10 @@
-"""What baking makes of a hand: fields against closed forms, samples on the inside only, a cache that is never trusted."""
+"""What baking makes of a hand: fields against closed forms, samples on the inside, a cache that is never trusted."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import trimesh
-from toy_hand import CARD, COARSE, write_toy
 
 from graspmatch.config import BakingConfig
 from graspmatch.geometry import grid as grids
@@ -13,7 +12,8 @@ from graspmatch.geometry.mesh import TriangleMesh
 from graspmatch.gripper import cache
 from graspmatch.gripper.bake import link_field
 from graspmatch.gripper.load import load_gripper
-from graspmatch.types import Gripper, GraspmatchError
+from graspmatch.types import GraspmatchError, Gripper
+from toy_hand import CARD, COARSE, write_toy
 
 
 @pytest.fixture
@@ -119,9 +119,11 @@ def test_second_load_comes_from_the_cache_and_is_the_same(toy, tmp_path, monkeyp
     monkeypatch.setattr("graspmatch.gripper.load.bake_gripper", None)  # would fail if it were called
     again = load_gripper(tmp_path / "card.toml", baking=COARSE)
     for a, b in zip(toy.preshapes, again.preshapes, strict=True):
-        assert np.array_equal(a.hand.values, b.hand.values) and np.array_equal(a.arrival, b.arrival)
-        assert np.array_equal(a.samples.points, b.samples.points) and a.name == b.name
-    assert again.fingers == toy.fingers and again.joint_names == toy.joint_names
+        np.testing.assert_array_equal(a.hand.values, b.hand.values)
+        np.testing.assert_array_equal(a.arrival, b.arrival)
+        np.testing.assert_array_equal(a.samples.points, b.samples.points)
+        assert a.name == b.name
+    assert (again.fingers, again.joint_names) == (toy.fingers, toy.joint_names)
 
 
 @pytest.mark.parametrize("damage", ["truncated", "flipped", "garbage", "empty"])

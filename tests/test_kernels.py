@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
@@ -13,10 +13,12 @@ from graspmatch.geometry.grid import Grid
 from graspmatch.kernels import reference, warp_fields, warp_match
 from graspmatch.kernels.fields import covering_nearest_field, stack_fields
 from graspmatch.kernels.launch import launch
-from graspmatch.planner.match import inverse_inertia
+from graspmatch.planner.upload import inverse_inertia
 
-TIGHT = {"rtol": 1e-4, "atol": 1e-6}
-"""Single against double precision, lengths of decimetres."""
+
+def close(found, expected, rtol=1e-4, atol=1e-6):
+    """Single against double precision, lengths of decimetres."""
+    np.testing.assert_allclose(found, expected, rtol=rtol, atol=atol)
 
 
 @pytest.fixture
@@ -101,12 +103,40 @@ def test_closed_form_alignment_never_mirrors(rng):
 
 def test_repulsion_of_equal_poses_is_zero_and_of_near_ones_points_apart(rng):
     q = se3.random_quaternions(1, rng)[0]
-    np.testing.assert_allclose(reference.rotation_apart(q, q), 0.0, atol=1e-12)
+    np.testing.assert_allclose(reference.kernel_slope(q, q), 0.0, atol=1e-12)
     w = np.array([0.02, -0.01, 0.03])
     near = se3.quaternion_multiply(se3.quaternion_exp(w), q)
-    apart = reference.rotation_apart(q, near)
+    apart = reference.kernel_slope(q, near)
     assert apart @ w > 0.99 * np.linalg.norm(apart) * np.linalg.norm(w)
-    np.testing.assert_allclose(reference.rotation_apart(-q, near), apart, atol=1e-12)  # q and -q are one rotation
+    np.testing.assert_allclose(reference.kernel_slope(-q, near), apart, atol=1e-12)  # q and -q are one rotation
+
+
+def test_slope_of_the_rotation_kernel_matches_differences(rng):
+    """Turning a by exp(w) changes |a . b|; carried to b, the same turn changes it the other way."""
+    a, b = se3.random_quaternions(2, rng)
+    h = 1e-6
+
+    def kernel(w):
+        return reference.rotation_kernel(a, se3.quaternion_multiply(se3.quaternion_exp(w), b))
+
+    slope = np.array([(kernel(h * e) - kernel(-h * e)) / (2 * h) for e in np.eye(3)])
+    np.testing.assert_allclose(reference.kernel_slope(a, b), -slope, atol=1e-8)
+
+
+def test_prior_slopes_match_differences(rng):
+    (t, q), (seed_t, seed_q) = random_pose(rng), random_pose(rng)
+
+    def negative_log(dt, w):
+        turned = se3.quaternion_multiply(se3.quaternion_exp(w), q)
+        cosine = 2 * (turned @ seed_q) ** 2 - 1
+        return 0.5 * 11.0 * np.sum((t + dt - seed_t) ** 2) - 0.7 * cosine
+
+    h, zero = 1e-6, np.zeros(3)
+    by_t = [(negative_log(h * e, zero) - negative_log(-h * e, zero)) / (2 * h) for e in np.eye(3)]
+    by_w = [(negative_log(zero, h * e) - negative_log(zero, -h * e)) / (2 * h) for e in np.eye(3)]
+    found = reference.prior_slopes(t, q, seed_t, seed_q, 11.0, 0.7)
+    np.testing.assert_allclose(found[0], by_t, atol=1e-6)
+    np.testing.assert_allclose(found[1], by_w, atol=1e-6)
 
 
 # --- fields ----------------------------------------------------------------------------------------------------------
@@ -144,7 +174,7 @@ def test_nearest_field_agrees_with_a_tree(rng, device):
     queries = rng.uniform(points.min(0) - 0.03, points.max(0) + 0.03, size=(20000, 3))
     out = wp.empty(len(queries), dtype=wp.int32, device=device)
     launch(warp_fields.query_nearest, len(queries), [field, vec3(queries, device)], [out], device)
-    excess = np.linalg.norm(queries - points[out.numpy()], axis=-1) - cKDTree(points).query(queries)[0]
+    excess = np.linalg.norm(queries - points[out.numpy()], axis=-1) - KDTree(points).query(queries)[0]
     assert excess.max() < 0.0025
     assert np.mean(excess > 0.001) < 0.02
     assert excess.mean() < 0.0001
@@ -168,7 +198,7 @@ class Toy:
         nodes = grids.node_positions(origin, 0.002, shape)
         self.half = np.array([0.015, 0.03, 0.01])
         self.distance = Grid(origin, 0.002, self.box(nodes).reshape(shape))
-        self.nearest = [cKDTree(s).query(nodes)[1] for s in self.samples]
+        self.nearest = [KDTree(s).query(nodes)[1] for s in self.samples]
 
     def box(self, points):
         q = np.abs(points) - self.half
@@ -221,14 +251,16 @@ class Toy:
         terms = warp_match.Terms()
         terms.com, terms.com_weight, terms.com_gradient_weight = wp.vec3(0.0, 0.0, 0.0), com_weight, com_weight
         terms.repulsion, terms.prior_precision, terms.prior_concentration = repulsion, 0.0, 0.0
-        terms.learning_rate, terms.convergence = 1.0, 0.0
+        terms.learning_rate, terms.convergence, terms.longest_step = 1.0, 0.0, 1.0
         return terms
 
     def gradients(self, scene, terms, particles, **kwargs):
         # A fine field makes the nearest neighbour exact for so few points.
         field = covering_nearest_field(self.target, 0.004, 0.05, 200, self.device)
         batch = [wp.array(v, dtype=wp.int32, device=self.device) for v in ([0, 0], [len(s) for s in self.samples])]
-        inputs = [self.hand(), field, self.surroundings(scene, **kwargs), terms, *batch, 0, 0, particles]
+        shuffled = np.concatenate([self.rng.permutation(len(s)) for s in self.samples])
+        shuffled = wp.array(shuffled, dtype=wp.int32, device=self.device)
+        inputs = [self.hand(), shuffled, field, self.surroundings(scene, **kwargs), terms, *batch, 0, 0, particles]
         launch(warp_match.gradients, len(self.t), inputs, [], self.device)
 
 
@@ -243,7 +275,7 @@ def test_matching_gradients_on_the_device_match_the_reference(rng, device):
         residual = moved - reference.pairs(moved, toy.target)
         by_t = (weights[:, None] * residual).mean(axis=0) + toy.t[i]  # TCP and CoM are both origins
         torque = (weights[:, None] * np.cross(samples @ R.T, residual)).mean(axis=0)
-        np.testing.assert_allclose(particles.gradient_position.numpy()[i], by_t / 2, **TIGHT)
+        close(particles.gradient_position.numpy()[i], by_t / 2)
         expected = R @ toy.inverse[g] @ R.T @ torque
         np.testing.assert_allclose(particles.gradient_rotation.numpy()[i], expected, rtol=1e-3, atol=1e-4)
         loss = np.mean(weights * np.sum(residual**2, axis=-1)) + toy.t[i] @ toy.t[i]
@@ -263,7 +295,7 @@ def test_colliding_particles_follow_the_collision_gradient(rng, device):
         # The kernel pairs by the nearest sample of the nearest node: nearly always the nearest sample.
         node = np.rint((inside_hand - toy.distance.origin) / toy.distance.spacing).astype(int)
         paired = toy.nearest[g].reshape(toy.distance.shape)[tuple(node.T)]
-        assert np.mean(paired == cKDTree(toy.samples[g]).query(inside_hand)[1]) > 0.8
+        assert np.mean(paired == KDTree(toy.samples[g]).query(inside_hand)[1]) > 0.8
         R = se3.matrix_from_quaternion(toy.q[i])
         by_t = (toy.samples[g][paired] @ R.T + toy.t[i] - inside_object).mean(axis=0)
         np.testing.assert_allclose(particles.gradient_position.numpy()[i], by_t, atol=5e-4)
@@ -280,7 +312,7 @@ def test_hand_below_the_table_is_lifted_by_its_corners(rng, device):
         assert particles.colliding.numpy()[i] == len(below)
         if len(below):
             expected = [0.0, 0.0, below.mean()]
-            np.testing.assert_allclose(particles.gradient_position.numpy()[i], expected, **TIGHT)
+            close(particles.gradient_position.numpy()[i], expected)
 
 
 def test_obstacles_leave_the_hand_where_they_came_in(rng, device):
@@ -295,26 +327,47 @@ def test_obstacles_leave_the_hand_where_they_came_in(rng, device):
         np.testing.assert_allclose(moved, [0.0, 0.0, 0.003], atol=3e-4)
 
 
-def test_stein_step_matches_the_reference(rng, device):
+@pytest.mark.parametrize("prior", [0.0, 3.0])
+def test_stein_step_matches_the_reference(rng, device, prior):
     toy = Toy(rng, device, particles=8)
     particles, terms = toy.particles(), toy.terms(repulsion=0.3)
+    terms.prior_precision, terms.prior_concentration = prior, prior
+    seed_t, seed_q = toy.t + rng.normal(size=(8, 3)) * 0.05, se3.random_quaternions(8, rng)
+    particles.seed_position = vec3(seed_t, device)
+    particles.seed_rotation = wp.array(np.roll(seed_q, -1, axis=-1), dtype=wp.quat, device=device)
     drift_t, drift_w = rng.normal(size=(2, 8, 3)) * 0.01
     particles.gradient_position, particles.gradient_rotation = vec3(drift_t, device), vec3(drift_w, device)
     group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 4], [4, 4])]
     moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
     launch(warp_match.stein, 8, [0.7, terms, toy.hand(), *group, particles], moved, device)
     for g in range(2):
-        own = toy.preshape == g
+        own, n = toy.preshape == g, len(toy.samples[g])
         R = se3.matrix_from_quaternion(toy.q[own])
         inverse = R @ toy.inverse[g] @ np.swapaxes(R, 1, 2)
+        poses = zip(toy.t[own], toy.q[own], seed_t[own], seed_q[own], strict=True)
+        slopes = [reference.prior_slopes(*pose, prior, prior) for pose in poses]
+        with_prior_t = drift_t[own] + 0.5 * np.array([by_t for by_t, _ in slopes]) / n
+        with_prior_w = drift_w[own] + np.einsum("kij,kj->ki", inverse, [by_w for _, by_w in slopes]) / n
         moves, spins = reference.stein_directions(
-            toy.t[own], toy.q[own], drift_t[own], drift_w[own], 0.7, 0.3, inverse, len(toy.samples[g])
+            toy.t[own], toy.q[own], with_prior_t, with_prior_w, 0.7, 0.3, 0.5, inverse, n
         )
         np.testing.assert_allclose(moved[0].numpy()[own], toy.t[own] + moves, rtol=1e-3, atol=1e-5)
         spins *= np.minimum(1.0, 0.5 / np.linalg.norm(spins, axis=-1, keepdims=True))
         turned = se3.quaternion_multiply(se3.quaternion_exp(spins), toy.q[own])
         found = np.roll(moved[1].numpy()[own], 1, axis=-1)
         np.testing.assert_allclose(np.abs(np.sum(found * turned, axis=-1)), 1.0, atol=1e-5)
+
+
+def test_no_stein_step_is_longer_than_the_longest(rng, device):
+    toy = Toy(rng, device)
+    toy.t *= 0.01  # near particles repel each other without bound
+    particles, terms = toy.particles(), toy.terms(repulsion=1.0)
+    terms.longest_step = 0.02
+    group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 3], [3, 3])]
+    moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
+    launch(warp_match.stein, 6, [0.0, terms, toy.hand(), *group, particles], moved, device)
+    steps = np.linalg.norm(moved[0].numpy() - toy.t, axis=-1)
+    assert steps.max() == pytest.approx(0.02, rel=1e-4)
 
 
 def test_lone_particle_without_repulsion_takes_the_plain_step(rng, device):
@@ -351,7 +404,9 @@ def test_results_do_not_depend_on_the_number_of_threads(rng, monkeypatch):
     found = []
     for threads in ("1", "2", "4"):
         monkeypatch.setenv("GRASPMATCH_THREADS", threads)
+        toy.rng = np.random.default_rng(0)
         particles = toy.particles()
         toy.gradients(scene, toy.terms(), particles)
         found.append(np.concatenate([particles.gradient_position.numpy(), particles.gradient_rotation.numpy()]))
-    assert np.array_equal(found[0], found[1]) and np.array_equal(found[0], found[2])
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])

@@ -1,4 +1,4 @@
-"""Real objects, real hands: grasps exist, and an independent judge (FCL on the meshes, through trimesh) finds no touch."""
+"""Real objects, real hands: grasps exist, and an independent judge (FCL on the meshes, by trimesh) finds no touch."""
 
 from __future__ import annotations
 
@@ -37,11 +37,12 @@ class Body:
             mesh = trimesh.Trimesh(link.collision.vertices, link.collision.faces, process=False)
             self.links.add_object(link.name, mesh)
 
-    def touches(self, world: trimesh.collision.CollisionManager, T_world_gripper, joints) -> set[tuple[str, str]]:
+    def touches(self, world: trimesh.collision.CollisionManager, T_world_gripper, joints) -> list[tuple[str, str]]:
         """Which link intersects what."""
         for link, T in zip(self.gripper.links, pose_links(self.model, joints), strict=True):
             self.links.set_transform(link.name, T_world_gripper @ T)
-        return self.links.in_collision_other(world, return_names=True)[1]
+        _, pairs = self.links.in_collision_other(world, return_names=True)  # type: ignore[misc]
+        return sorted(pairs)
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -51,7 +52,8 @@ def test_paper_objects_have_grasps_that_touch_nothing(name, shared_data):
     for object_name in OBJECTS:
         path = shared_data / "objects" / "paper" / object_name / "mesh.stl"
         scene = Scene.from_mesh(path)
-        assert scene.table is not None and scene.mesh is not None
+        assert scene.table is not None
+        assert scene.mesh is not None
         grasps = plan(scene, gripper)
         assert len(grasps) > 0, f"{object_name}: {grasps.explain()}"
         mesh = trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces, process=False)
@@ -65,10 +67,11 @@ def test_paper_objects_have_grasps_that_touch_nothing(name, shared_data):
 def test_the_judge_sees_a_hand_that_is_pushed_into_the_object(shared_data):
     hand = Body("franka_hand")
     scene = Scene.from_mesh(shared_data / "objects" / "paper" / "Milk" / "mesh.stl")
-    assert scene.table is not None and scene.mesh is not None
+    assert scene.table is not None
+    assert scene.mesh is not None
     mesh = trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces, process=False)
     world = collision_world(mesh, scene.table.offset)
-    down = se3.from_parts(np.diag([1.0, -1.0, -1.0]), scene.centre_of_mass + [0, 0, 0.09])
+    down = se3.from_parts(np.diag([1.0, -1.0, -1.0]), scene.centre_of_mass + np.array([0, 0, 0.09]))
     assert any("object" in pair for pair in hand.touches(world, down, np.array([0.02])))
     low = se3.from_parts(np.diag([1.0, -1.0, -1.0]), scene.centre_of_mass * [1, 1, 0] + [0.2, 0, 0.09])
     assert any("table" in pair for pair in hand.touches(world, low, np.array([0.04])))

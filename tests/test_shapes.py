@@ -30,14 +30,15 @@ def test_mug_is_two_watertight_parts_with_outward_faces() -> None:
 
 
 def test_mug_stands_on_the_table_and_fits_a_hand() -> None:
-    low, high = np.min(mug().vertices, axis=0), np.max(mug().vertices, axis=0)
+    vertices = mug(0.08, 0.095).vertices
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
     np.testing.assert_allclose(low, [-0.04, -0.04, 0.0], atol=1e-9)
     np.testing.assert_allclose(high[1:], [0.04, 0.095], atol=1e-9)
     assert 0.06 < high[0] < 0.08
 
 
 def test_mug_is_hollow_and_its_handle_ends_inside_the_wall() -> None:
-    body, handle = sorted(parts_of(mug()), key=lambda part: -part.volume)
+    body, handle = sorted(parts_of(mug(0.08, 0.095)), key=lambda part: -part.volume)
     assert winding_number(body, [0.0, 0.0, 0.05]) == pytest.approx(0, abs=1e-6)
     assert winding_number(body, [0.038, 0.0, 0.05]) == pytest.approx(1, abs=1e-6)
     in_cavity = np.hypot(handle.vertices[:, 0], handle.vertices[:, 1]) < 0.036

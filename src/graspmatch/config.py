@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Method = Literal["icp", "sgd-icp", "stein-icp", "annealed-stein-icp"]
+SampleMethod = Literal["mesh", "camera"]
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,8 @@ class MatchingConfig:
     """eta of eqs. (3) and (7)."""
     voxel_size: float = 0.005
     """Spacing of the target cloud R [m]."""
-    collision_voxel_size: float = 0.008
-    """Spacing of the cloud C that collisions are checked with while matching [m]."""
+    collision_points: int = 1500
+    """Size of the cloud C that collisions are checked with while matching: Table I has 1100 to 1900."""
     batch_from: Literal["gripper", "object"] = "gripper"
     """Which cloud the growing mini-batch is drawn from: the paper says both."""
     com_weight: float = 1.0
@@ -83,6 +84,8 @@ class MatchingConfig:
     repulsion: float = 1.0
     """Weight of the kernel's gradient in eq. (8), 1 as printed: the variance [m2] that the likelihood gives a residual.
     Zero turns the particles' repulsion off."""
+    longest_step: float = 0.05
+    """Farthest a particle moves in one Stein step [m]: the repulsion of near particles grows without bound."""
     prior_translation: float = 0.3
     """Standard deviation of the Gaussian prior around each seed [m]."""
     prior_concentration: float = 1.0

@@ -82,7 +82,9 @@ class Preshape:
     """For each finger, the same for its links at k closing fractions, evenly from 0 to 1."""
 
 
-@dataclass(frozen=True)
+@dataclass(
+    frozen=True, eq=False
+)  # equal is identical: arrays have no truth, and what is made from a hand is kept by it
 class Gripper:
     """A hand: its description, its frames and its baked preshapes. The gripper frame is the base link of the file."""
 

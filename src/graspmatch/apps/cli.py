@@ -142,9 +142,11 @@ def parse_table(text: str) -> float | Literal["auto"] | None:
     try:
         height = float(text.removeprefix("z="))
     except ValueError:
-        raise GraspmatchError(f"No table '{text}'. Possible: auto, none, or a height in metres as z=0.02.") from None
+        raise GraspmatchError(
+            f"No table '{text}'. Possible: auto, none, or a height in the unit of the input, as z=0.02."
+        ) from None
     if not abs(height) < float("inf"):
-        raise GraspmatchError(f"The table's height is '{text}'; it must be a finite number of metres.")
+        raise GraspmatchError(f"The table's height is '{text}'; it must be a finite number.")
     return height
 
 

@@ -28,13 +28,14 @@ def writer_of(path: Path) -> Writer:
     return WRITERS[path.suffix.lower()]
 
 
-def write_grasps(grasps: GraspSet, path: Path, gripper: Gripper) -> None:
+def write_grasps(grasps: GraspSet, path: Path | str, gripper: Gripper) -> None:
     """Write grasps in the format that the suffix of the file names."""
-    writer_of(path)(grasps, path, gripper)
+    writer_of(Path(path))(grasps, Path(path), gripper)
 
 
-def read_grasps(path: Path) -> GraspSet:
+def read_grasps(path: Path | str) -> GraspSet:
     """Read grasps in the format that the suffix of the file names."""
+    path = Path(path)
     if path.suffix.lower() not in READERS:
         raise GraspmatchError(f"Cannot read {path}: {_unknown_suffix(path, READERS)}")
     return READERS[path.suffix.lower()](path)

@@ -1,4 +1,4 @@
-"""Rigid transforms: `T_a_b` (4,4) maps b-coordinates to a-coordinates; quaternions are unit, wxyz; leading axes broadcast."""
+"""Rigid transforms: `T_a_b` (4,4) maps b-coordinates to a-coordinates; unit quaternions wxyz; leading axes broadcast."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from jaxtyping import Float
 Array = np.ndarray
 
 
-def from_parts(rotation: Float[Array, "*b 3 3"], translation: Float[Array, "*b 3"]) -> Float[Array, "*b 4 4"]:
+def from_parts(rotation: Float[Array, "*#b 3 3"], translation: Float[Array, "*#b 3"]) -> Float[Array, "*b 4 4"]:
     """Homogeneous transform of a rotation matrix and a translation [m]."""
     batch = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
     T = np.zeros((*batch, 4, 4))
@@ -18,7 +18,7 @@ def from_parts(rotation: Float[Array, "*b 3 3"], translation: Float[Array, "*b 3
     return T
 
 
-def apply(T_a_b: Float[Array, "*b 4 4"], points_b: Float[Array, "*b n 3"]) -> Float[Array, "*b n 3"]:
+def apply(T_a_b: Float[Array, "*#b 4 4"], points_b: Float[Array, "*#b n 3"]) -> Float[Array, "*b n 3"]:
     """Points of frame b, expressed in frame a."""
     return points_b @ np.swapaxes(T_a_b[..., :3, :3], -1, -2) + T_a_b[..., None, :3, 3]
 

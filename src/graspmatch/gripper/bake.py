@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from graspmatch.config import BakingConfig
 from graspmatch.geometry import grid as grids
@@ -105,7 +105,7 @@ def bake_preshape(
         tool_centre_point=np.average(samples.points, axis=0, weights=weights),
         hand=field,
         corridor=_corridor(field, np.array(card.approach), config),
-        nearest_sample=cKDTree(samples.points).query(nodes)[1].reshape(shape).astype(np.int32),
+        nearest_sample=KDTree(samples.points).query(nodes)[1].reshape(shape).astype(np.int32),
         arrival=arrival,
         outline=outline,
         finger_outlines=outlines,
@@ -163,4 +163,3 @@ def _corridor(hand: Grid, approach: Float[np.ndarray, "3"], config: BakingConfig
     way = [wp.vec3(*approach), config.approach_distance, hand.spacing]
     launch(warp_bake.corridor_distance, nodes.shape[0], [stack_fields([hand], DEVICE), *way, nodes], [out], DEVICE)
     return Grid(origin, hand.spacing, out.numpy().reshape(shape))
-

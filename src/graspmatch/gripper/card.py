@@ -7,10 +7,12 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast, get_args
 
 import numpy as np
 from jaxtyping import Float
 
+from graspmatch.config import SampleMethod
 from graspmatch.errors import GraspmatchError
 from graspmatch.gripper.toml_table import Table, unknown
 
@@ -61,12 +63,12 @@ class PreshapeRule:
 class SampleRule:
     """How the inner surface is sampled."""
 
-    method: str
+    method: SampleMethod
     voxel_size: float
     """[m]"""
 
 
-SAMPLE_METHODS = ("mesh", "camera")
+SAMPLE_METHODS: tuple[SampleMethod, ...] = get_args(SampleMethod)
 
 
 @dataclass(frozen=True)
@@ -213,10 +215,10 @@ def _preshape_rule(entry: Table, joints: dict[str, DrivenJoint]) -> PreshapeRule
 
 def _sample_rule(entry: Table) -> SampleRule:
     entry.only(SampleRule.__annotations__.keys())
-    rule = SampleRule(entry.string("method", SAMPLE_METHODS[0]), entry.positive("voxel_size", 0.005))
-    if rule.method not in SAMPLE_METHODS:
-        raise entry.error("method", f"has {unknown('way of sampling', rule.method, SAMPLE_METHODS)}")
-    return rule
+    method = entry.string("method", SAMPLE_METHODS[0])
+    if method not in SAMPLE_METHODS:
+        raise entry.error("method", f"has {unknown('way of sampling', method, SAMPLE_METHODS)}")
+    return SampleRule(cast(SampleMethod, method), entry.positive("voxel_size", 0.005))
 
 
 def _axes(table: Table) -> tuple[Float[Array, "3"], Float[Array, "3"]]:

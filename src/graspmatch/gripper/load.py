@@ -25,7 +25,7 @@ BAKING_VERSION = 2
 def load_gripper(
     name: str | Path, *, description: str | Path | None = None, baking: BakingConfig | None = None
 ) -> Gripper:
-    """A built-in hand by name, or any hand by the path of its card (TOML); `description` puts another file in its place.
+    """A built-in hand by name, or any hand by the path of its card (TOML); `description` takes another file of it.
 
     The first load of a hand bakes its preshapes, which takes seconds; later ones read the cache. Raises
     `GraspmatchError` for an unknown name, and for a card that does not fit its description.

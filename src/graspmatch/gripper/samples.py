@@ -6,12 +6,11 @@ depth cameras that look into the grasp ("camera").
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 import warp as wp
 from jaxtyping import Float, Int
 
+from graspmatch.config import SampleMethod
 from graspmatch.geometry.mesh import TriangleMesh, face_normals_areas, sample_surface
 from graspmatch.geometry.sphere import fibonacci_directions
 from graspmatch.kernels.launch import launch
@@ -31,7 +30,7 @@ def inner_surface(
     mesh: TriangleMesh,
     approach: Float[np.ndarray, "3"],
     tool_centre_point: Float[np.ndarray, "3"],
-    method: Literal["mesh", "camera"],
+    method: SampleMethod,
     voxel_size: float,
 ) -> PointCloud:
     """Samples of the inner surface of one posture, one in each voxel, with outward normals; gripper frame [m]."""

@@ -34,7 +34,7 @@ def nearest_field(
     spacing: float,
     device: str,
 ) -> warp_fields.NearestField:
-    """The nearest-neighbour field of a cloud on the given grid: seeds at the points' nodes, three sweeps, one repair."""
+    """The nearest-neighbour field of a cloud on a given grid: seeds at the points' nodes, three sweeps, one repair."""
     field = warp_fields.NearestField()
     field.origin, field.dims, field.spacing = wp.vec3(*origin), wp.vec3i(*shape), spacing
     field.points = wp.array(points, dtype=wp.vec3, device=device)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -18,7 +19,6 @@ from typing import Any
 import warp as wp
 
 from graspmatch.errors import GraspmatchError
-
 
 
 @contextlib.contextmanager
@@ -77,7 +77,7 @@ def launch(kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence
         _pool(threads).submit(
             wp.launch, kernel, end - start, inputs=[start, *inputs], outputs=list(outputs), device=device
         )
-        for start, end in zip(bounds, bounds[1:], strict=False)
+        for start, end in itertools.pairwise(bounds)
     ]
     for job in jobs:
         job.result()

@@ -100,17 +100,6 @@ def colliding_points(
     return scene[inside], in_hand[inside]
 
 
-def collision_gradients(
-    t: Float[Array, "3"],
-    q: Float[Array, "4"],
-    samples: Float[Array, "m 3"],
-    inside_object: Float[Array, "c 3"],
-    inside_hand: Float[Array, "c 3"],
-) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
-    """Eqs. (4), (5) of the loss (18): each colliding point and the inner surface nearest to it."""
-    return matching_gradients(t, q, pairs(inside_hand, samples), inside_object)
-
-
 def translation_kernel(a: Float[Array, "3"], b: Float[Array, "3"], h: float) -> float:
     """Eq. (9)."""
     return float(np.exp(-np.sum((a - b) ** 2) / h))
@@ -127,11 +116,25 @@ def bandwidth(positions: Float[Array, "k 3"]) -> float:
     return max(float(np.mean(np.sum(apart**2, axis=-1)) / np.log(len(positions) + 1)), 1e-8)
 
 
-def rotation_apart(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "3"]:
-    """Gradient of the kernel (10) along the sphere, as the rotation vector that takes b away from a: sin(angle) axis."""
+def kernel_slope(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "3"]:
+    """Gradient of (10) along the sphere by a, as the rotation vector that it turns b by when it is carried there."""
     conjugate = a * np.array([1, -1, -1, -1])
     w, *v = se3.quaternion_multiply(b, conjugate)
-    return 2 * w * np.array(v)
+    return 0.5 * np.sign(w) * np.array(v)
+
+
+def prior_slopes(
+    t: Float[Array, "3"],
+    q: Float[Array, "4"],
+    seed_t: Float[Array, "3"],
+    seed_q: Float[Array, "4"],
+    precision: float,
+    concentration: float,
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Gradients of the negative log priors of eq. (8), by t and by the rotation vector: a Gaussian around the seed's
+    position, precision / 2 |t - seed|^2, and a von Mises around its rotation, -concentration cos(angle)."""
+    w, *v = se3.quaternion_multiply(q, seed_q * np.array([1, -1, -1, -1]))
+    return precision * (t - seed_t), concentration * 2 * w * np.array(v)
 
 
 def stein_directions(
@@ -141,12 +144,13 @@ def stein_directions(
     drift_rotation: Float[Array, "k 3"],
     gamma: float,
     repulsion: float,
-    inverse_hessian: Float[Array, "k 3 3"],
+    inverse_position: float,
+    inverse_rotation: Float[Array, "k 3 3"],
     n: int,
 ) -> tuple[Float[Array, "k 3"], Float[Array, "k 3"]]:
     """Eq. (8) times A/N, over the kernel's mass: the step of each particle's position and rotation vector.
 
-    `drift` is A (N g + grad of the negative log prior) / N of each particle, `inverse_hessian` the rotational block of A.
+    `drift` is A (N g + gradient of the negative log prior) / N of each particle; `inverse` are the blocks of A.
     """
     h = bandwidth(positions)
     moves, spins = np.zeros_like(drift_position), np.zeros_like(drift_rotation)
@@ -154,15 +158,13 @@ def stein_directions(
         k_t = np.array([translation_kernel(p, positions[i], h) for p in positions])
         k = k_t * np.array([rotation_kernel(q, rotations[i]) for q in rotations])
         away_t = np.sum(2 / h * k[:, None] * (positions[i] - positions), axis=0)
-        away_w = np.sum(k_t[:, None] * [rotation_apart(q, rotations[i]) for q in rotations], axis=0)
-        moves[i] = (-gamma * k @ drift_position + repulsion * away_t / n) / k.sum()
-        spins[i] = (-gamma * k @ drift_rotation + repulsion * inverse_hessian[i] @ away_w / n) / k.sum()
+        away_w = np.sum(k_t[:, None] * [kernel_slope(q, rotations[i]) for q in rotations], axis=0)
+        moves[i] = (-gamma * k @ drift_position + repulsion * inverse_position * away_t / n) / k.sum()
+        spins[i] = (-gamma * k @ drift_rotation + repulsion * inverse_rotation[i] @ away_w / n) / k.sum()
     return moves, spins
 
 
-def align(
-    samples: Float[Array, "n 3"], paired: Float[Array, "n 3"], weights: Float[Array, "n"]
-) -> Float[Array, "4 4"]:
+def align(samples: Float[Array, "n 3"], paired: Float[Array, "n 3"], weights: Float[Array, "n"]) -> Float[Array, "4 4"]:
     """Eq. (2) in closed form: the rigid transform of least weighted squares, by SVD (Arun et al. 1987)."""
     w = weights / weights.sum()
     source, goal = w @ samples, w @ paired

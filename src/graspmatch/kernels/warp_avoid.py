@@ -24,18 +24,19 @@ def back_off(
     preshape_in: wp.array(dtype=wp.int32),
     position_in: wp.array(dtype=wp.vec3),
     rotation_in: wp.array(dtype=wp.quat),
+    least_in: wp.array(dtype=wp.float32),
     retreat_out: wp.array(dtype=wp.float32),
 ):
     """Smallest way back along the approach from which hand and approach keep their clearance; more than `most` if none.
 
-    What lies behind the hand when it has backed off by d lay behind it before: the way back only ever grows from point
-    to point, and one pass over the scene finds it.
+    The way back only ever grows from point to point, so one pass over the scene finds it: what is clear of the way in
+    stays clear of it, but for the stretch that backing off adds at its start. `least_in` is what is known to be needed.
     """
     i = first + wp.tid()
     g = preshape_in[i]
     q = rotation_in[i]
     p = position_in[i]
-    d = float(0.0)
+    d = least_in[i]
     for c in range(scene.shape[0]):
         x = wp.quat_rotate_inv(q, scene[c] - p)
         while d <= most and is_near(corridor, g, x + d * approach, clearance):
@@ -70,15 +71,10 @@ def is_near(stack: FieldStack, g: int, x: wp.vec3, distance: float) -> bool:
 
 
 @wp.func
-def arrival_at(stack: FieldStack, g: int, x: wp.vec3) -> float:
-    """Closing fraction at which a finger covers x: trilinear where all eight nodes are covered, else that of the
-    nearest node, since the field jumps to `NEVER` at the edge of what the finger sweeps."""
+def arrival_at(stack: FieldStack, g: int, low: wp.vec3i, f: wp.vec3) -> float:
+    """Closing fraction at which a finger covers the point at `f` in the cell `low`: trilinear where all eight nodes are
+    covered, else that of the nearest node, since the field jumps to `NEVER` at the edge of what the finger sweeps."""
     dims = stack.dims[g]
-    u = node_units(stack, g, x)
-    if not is_inside(u, dims):
-        return NEVER
-    low = low_node(u, dims)
-    f = u - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
     total = float(0.0)
     largest = float(0.0)
     nearest = float(NEVER)
@@ -100,26 +96,23 @@ def arrival_at(stack: FieldStack, g: int, x: wp.vec3) -> float:
 def first_contact(
     first: int,
     fingers: int,
-    finger_start: wp.array(dtype=wp.int32),
     arrival: FieldStack,
     scene: wp.array(dtype=wp.vec3),
     preshape_in: wp.array(dtype=wp.int32),
     position_in: wp.array(dtype=wp.vec3),
     rotation_in: wp.array(dtype=wp.quat),
     fraction_out: wp.array2d(dtype=wp.float32),
-    point_out: wp.array2d(dtype=wp.int32),
 ):
-    """For each finger the closing fraction at which it meets the first scene point, and that point; -1 if none."""
+    """For each finger the closing fraction at which it meets the first scene point; `NEVER` if there is none."""
     i = first + wp.tid()
-    q = rotation_in[i]
-    p = position_in[i]
+    g = preshape_in[i] * fingers
+    dims = arrival.dims[g]
     for f in range(fingers):
-        fraction = float(NEVER)
-        point = int(-1)
-        for c in range(scene.shape[0]):
-            value = arrival_at(arrival, finger_start[preshape_in[i]] + f, wp.quat_rotate_inv(q, scene[c] - p))
-            if value < fraction:
-                fraction = value
-                point = c
-        fraction_out[i, f] = fraction
-        point_out[i, f] = point
+        fraction_out[i, f] = NEVER
+    for c in range(scene.shape[0]):
+        u = node_units(arrival, g, wp.quat_rotate_inv(rotation_in[i], scene[c] - position_in[i]))
+        if is_inside(u, dims):
+            low = low_node(u, dims)
+            within = u - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
+            for f in range(fingers):
+                fraction_out[i, f] = wp.min(fraction_out[i, f], arrival_at(arrival, g + f, low, within))

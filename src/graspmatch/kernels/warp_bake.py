@@ -34,9 +34,7 @@ def links_distance(
     """Smallest signed distance of x to the links `link`, posed by the transforms from `begin` on."""
     distance = float(1.0e30)
     for l in range(link.shape[0]):
-        distance = wp.min(
-            distance, interpolate(stack, link[l], wp.transform_point(T_link_gripper[begin + link[l]], x))
-        )
+        distance = wp.min(distance, interpolate(stack, link[l], wp.transform_point(T_link_gripper[begin + link[l]], x)))
     return distance
 
 

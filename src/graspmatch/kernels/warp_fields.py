@@ -59,9 +59,7 @@ def clamp_units(u: wp.vec3, dims: wp.vec3i) -> wp.vec3:
 @wp.func
 def low_node(u: wp.vec3, dims: wp.vec3i) -> wp.vec3i:
     """The lower corner of the cell of `u`, such that the upper corner exists."""
-    return wp.vec3i(
-        wp.min(int(u[0]), dims[0] - 2), wp.min(int(u[1]), dims[1] - 2), wp.min(int(u[2]), dims[2] - 2)
-    )
+    return wp.vec3i(wp.min(int(u[0]), dims[0] - 2), wp.min(int(u[1]), dims[1] - 2), wp.min(int(u[2]), dims[2] - 2))
 
 
 @wp.func
@@ -137,7 +135,7 @@ def sweep_nearest(
     index_out: wp.array(dtype=wp.int32),
 ):
     """One pass of a separable distance transform that carries indices: every node of one grid line takes the nearest of
-    the candidates on its line. The passes along x, y and z give the nearest point up to the rounding of seeds to nodes."""
+    the candidates on its line. Passes along x, y and z give the nearest point up to the rounding of seeds to nodes."""
     line = first + wp.tid()
     n = dims[axis]
     stride = int(1)

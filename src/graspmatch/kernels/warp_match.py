@@ -78,18 +78,28 @@ class Terms:
     prior_concentration: float
     learning_rate: float
     convergence: float
+    longest_step: float
 
 
 @wp.func
-def matching_pass(hand: Hand, target: NearestField, g: int, p: wp.vec3, q: wp.quat, offset: int, size: int):
-    """Eqs. (1), (14) and the sums of (16) and (17) over a mini-batch of `size` samples that begins at `offset`."""
+def matching_pass(
+    hand: Hand,
+    shuffled: wp.array(dtype=wp.int32),
+    target: NearestField,
+    g: int,
+    p: wp.vec3,
+    q: wp.quat,
+    offset: int,
+    size: int,
+):
+    """Eqs. (1), (14) and the sums of (16) and (17) over a mini-batch: `size` of the shuffled samples from `offset`."""
     gt = wp.vec3(0.0, 0.0, 0.0)
     gw = wp.vec3(0.0, 0.0, 0.0)
     error = float(0.0)
     mass = float(0.0)
     count = hand.count[g]
     for b in range(size):
-        at = hand.start[g] + (offset + b) % count
+        at = hand.start[g] + shuffled[hand.start[g] + (offset + b) % count]
         lever = wp.quat_rotate(q, hand.samples[at])
         residual = p + lever - target.points[nearest_index(target, p + lever)]
         weight = hand.weights[at]
@@ -117,10 +127,12 @@ def collision_pass(hand: Hand, scene: Surroundings, g: int, p: wp.vec3, q: wp.qu
         if is_inside(u, dims):
             depth = -interpolate(hand.distance, g, x)
         if depth > 0.0:
-            s = x + depth * outwards(hand.distance, g, x)
+            s = x
             if c < scene.targets:
                 node = (int(u[0] + 0.5) * dims[1] + int(u[1] + 0.5)) * dims[2] + int(u[2] + 0.5)
                 s = hand.samples[hand.start[g] + hand.nearest_sample[hand.distance.start[g] + node]]
+            else:
+                s = x + depth * outwards(hand.distance, g, x)
             lever = wp.quat_rotate(q, s)
             residual = p + lever - scene.points[c]
             gt += residual
@@ -160,6 +172,7 @@ def outwards(stack: FieldStack, g: int, x: wp.vec3) -> wp.vec3:
 def gradients(
     first: int,
     hand: Hand,
+    shuffled: wp.array(dtype=wp.int32),
     target: NearestField,
     scene: Surroundings,
     terms: Terms,
@@ -177,13 +190,13 @@ def gradients(
     p = particles.position[i]
     q = particles.rotation[i]
     size = batch_size[g]
-    gt, gw, error = matching_pass(hand, target, g, p, q, batch_offset[g], size)
+    gt, gw, error = matching_pass(hand, shuffled, target, g, p, q, batch_offset[g], size)
     lever = wp.quat_rotate(q, hand.tool_centre_point[g])
     residual = p + lever - terms.com
     loss = error + terms.com_weight * wp.length_sq(residual)
     weight = terms.com_gradient_weight
     if weight < 0.0:  # the printed scale: one pair among the m of the batch
-        weight = 1.0 / float(size)
+        weight = -weight / float(size)
     # A: the inverse Gauss-Newton matrix of what was summed.
     gt = (gt + weight * residual) / (1.0 + weight)
     gw += weight * wp.cross(lever, residual)
@@ -235,11 +248,24 @@ def descend(first: int, terms: Terms, particles: Particles):
 
 
 @wp.func
-def rotation_between(a: wp.quat, b: wp.quat) -> wp.vec3:
-    """sin(angle) axis of the rotation from a to b, world frame; the gradient of |a . b| (eq. 9) up to sign."""
+def kernel_slope(a: wp.quat, b: wp.quat) -> wp.vec3:
+    """Gradient of |a . b| (10) along the sphere by a, as the rotation vector that it turns b by: away from a, the same
+    for a and -a, zero where they agree."""
     d = b * wp.quat_inverse(a)
-    v = wp.vec3(d[0], d[1], d[2])
-    return 2.0 * d[3] * v
+    return 0.5 * wp.sign(d[3]) * wp.vec3(d[0], d[1], d[2])
+
+
+@wp.func
+def prior_slope(seed: wp.quat, q: wp.quat) -> wp.vec3:
+    """Gradient of -cos(angle), the negative log of a von Mises prior around the seed: sin(angle) axis."""
+    d = q * wp.quat_inverse(seed)
+    return 2.0 * d[3] * wp.vec3(d[0], d[1], d[2])
+
+
+@wp.func
+def shortened(v: wp.vec3, most: float) -> wp.vec3:
+    """The vector, no longer than `most`."""
+    return v * wp.min(1.0, most / wp.max(wp.length(v), 1.0e-9))
 
 
 @wp.kernel
@@ -271,6 +297,7 @@ def stein(
         square += wp.length_sq(particles.position[j]) / float(count)
     # Bandwidth by the mean squared distance over log K, the median rule without a sort.
     h = wp.max(2.0 * (square - wp.length_sq(mean)) / wp.log(float(count) + 1.0), 1.0e-8)
+    inverse_t = 1.0 / (1.0 + wp.max(terms.com_gradient_weight, 0.0))  # the translational block of A
     drift_t = wp.vec3(0.0, 0.0, 0.0)
     drift_w = wp.vec3(0.0, 0.0, 0.0)
     away_t = wp.vec3(0.0, 0.0, 0.0)
@@ -279,18 +306,17 @@ def stein(
     for j in range(start, start + count):
         apart = p - particles.position[j]
         k_t = wp.exp(-wp.length_sq(apart) / h)
-        between = rotation_between(particles.rotation[j], q)
         k = k_t * wp.abs(wp.dot(particles.rotation[j], q))
         prior_t = terms.prior_precision * (particles.position[j] - particles.seed_position[j])
-        prior_w = terms.prior_concentration * rotation_between(particles.seed_rotation[j], particles.rotation[j])
-        drift_t += k * (particles.gradient_position[j] + prior_t / n)
+        prior_w = terms.prior_concentration * prior_slope(particles.seed_rotation[j], particles.rotation[j])
+        drift_t += k * (particles.gradient_position[j] + inverse_t * prior_t / n)
         drift_w += k * (particles.gradient_rotation[j] + hand_turn(hand, g, particles.rotation[j], prior_w) / n)
         away_t += (2.0 / h) * k * apart
-        away_w += k_t * between
+        away_w += k_t * kernel_slope(particles.rotation[j], q)
         mass += k
-    move = (-gamma * drift_t + terms.repulsion * away_t / n) / mass
+    move = (-gamma * drift_t + terms.repulsion * inverse_t * away_t / n) / mass
     spin = (-gamma * drift_w + terms.repulsion * hand_turn(hand, g, q, away_w) / n) / mass
-    position_out[i] = p + terms.learning_rate * move
+    position_out[i] = p + shortened(terms.learning_rate * move, terms.longest_step)
     rotation_out[i] = turn(q, terms.learning_rate * spin)
 
 

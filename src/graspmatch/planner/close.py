@@ -7,13 +7,12 @@ import warp as wp
 from jaxtyping import Float, Int
 
 from graspmatch.config import ClosingConfig
-from graspmatch.geometry.grid import Grid
-from graspmatch.kernels.fields import stack_fields
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_avoid import first_contact
 from graspmatch.planner.avoid import pose_arrays
 from graspmatch.planner.candidates import Closed, Free
 from graspmatch.planner.tally import Tally
+from graspmatch.planner.upload import upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Plane, PointCloud
 
@@ -35,7 +34,9 @@ def close_fingers(
         touches.sum(axis=-1) >= config.fewest_fingers, "fingers that close on nothing", among=reaches
     )
     free, fraction = free.select(keep), fraction[keep]
-    return Closed(**vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free.preshape, fraction, gripper))
+    return Closed(
+        **vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free.preshape, fraction, gripper)
+    )
 
 
 def contact_fractions(
@@ -43,13 +44,12 @@ def contact_fractions(
 ) -> Float[np.ndarray, "n f"]:
     """Closing fraction at which each finger first meets a cloud; 2 where it never does."""
     fingers = len(gripper.fingers)
-    grids = [Grid(p.hand.origin, p.hand.spacing, arrival) for p in gripper.preshapes for arrival in p.arrival]
-    start = wp.array(np.arange(len(gripper.preshapes)) * fingers, dtype=wp.int32, device=device)
     points = wp.array(cloud.points - scene.centre_of_mass, dtype=wp.vec3, device=device)
     fraction = wp.empty((len(free), fingers), dtype=wp.float32, device=device)
-    point = wp.empty((len(free), fingers), dtype=wp.int32, device=device)
-    inputs = [fingers, start, stack_fields(grids, device), points, *pose_arrays(free, scene.centre_of_mass, device)]
-    launch(first_contact, len(free), inputs, [fraction, point], device)
+    poses = pose_arrays(free, scene.centre_of_mass, device)
+    launch(
+        first_contact, len(free), [fingers, upload_gripper(gripper, device).arrival, points, *poses], [fraction], device
+    )
     return fraction.numpy().astype(float)
 
 

@@ -16,12 +16,14 @@ from graspmatch.config import MatchingConfig
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import voxel_downsample
 from graspmatch.kernels import warp_match
-from graspmatch.kernels.fields import covering_nearest_field, stack_fields
+from graspmatch.kernels.fields import covering_nearest_field
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_fields import NearestField
 from graspmatch.planner.candidates import Candidates, Matched
+from graspmatch.planner.thin import thinned
+from graspmatch.planner.upload import DeviceHand, upload_gripper
 from graspmatch.scene.scene import Scene
-from graspmatch.types import Gripper, Preshape
+from graspmatch.types import Gripper
 
 FIELD_MARGIN = 0.03
 """How far the nearest-neighbour field reaches beyond the target [m]; farther samples use its border."""
@@ -37,11 +39,9 @@ Batch = tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]
 class Problem:
     """Scene and hand on the device: everything that stays the same from iteration to iteration."""
 
-    hand: warp_match.Hand
-    samples: Int[np.ndarray, "p"]
-    """Number of samples of each preshape."""
-    pivots: Float[np.ndarray, "p 3"]
-    """The point of each preshape that particles translate and turn about: its tool centre point [m]."""
+    hand: DeviceHand
+    shuffled: wp.array
+    """For each preshape its samples in random order: a window of them is a mini-batch."""
     centre_of_mass: Float[np.ndarray, "3"]
     """Origin of the object frame in the world [m]."""
     target_points: Float[np.ndarray, "n 3"]
@@ -53,20 +53,20 @@ class Problem:
     device: str
 
 
-def prepare(
-    scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.random.Generator, device: str
-) -> Problem:
+def prepare(scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.random.Generator, device: str) -> Problem:
     """Thin the clouds, build the nearest-neighbour field, upload the hand."""
-    target_points = voxel_downsample(scene.target.points - scene.centre_of_mass, config.voxel_size, origin=np.zeros(3))[0]
-    hand, samples = upload_hand(gripper.preshapes, rng, device)
+    target_points = voxel_downsample(scene.target.points - scene.centre_of_mass, config.voxel_size, origin=np.zeros(3))[
+        0
+    ]
+    hand = upload_gripper(gripper, device)
+    shuffled = np.concatenate([rng.permutation(count) for count in hand.samples])
     return Problem(
         hand=hand,
-        samples=samples,
-        pivots=np.array([preshape.tool_centre_point for preshape in gripper.preshapes]),
+        shuffled=wp.array(shuffled, dtype=wp.int32, device=device),
         centre_of_mass=scene.centre_of_mass,
         target_points=target_points,
         target=nearest_to(target_points, config, device),
-        surroundings=upload_surroundings(scene, config.collision_voxel_size, device),
+        surroundings=upload_surroundings(scene, config.collision_points, device),
         terms=terms_of(config),
         device=device,
     )
@@ -80,15 +80,15 @@ def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.
         share = batch_share(k, config)
         if config.batch_from == "object":
             target = nearest_to(object_batch(problem.target_points, share, rng), config, problem.device)
-            batch = whole_batch(problem.samples)
+            batch = whole_batch(problem.hand.samples)
         else:
-            target, batch = problem.target, mini_batch(problem.samples, share, rng)
+            target, batch = problem.target, mini_batch(problem.hand.samples, share, rng)
         refining = k > stein_iterations
         gradients(problem, particles, target, batch, settle=refining, remember=refining and share == 1)  # (16)-(18)
         if k <= stein_iterations:
             stein_step(problem, particles, starts, annealing(k, config))  # eqs. (7), (8)
         elif config.method == "icp":
-            step(warp_match.align, problem, particles, [problem.hand, target])  # eq. (2)
+            step(warp_match.align, problem, particles, [problem.hand.matching, target])  # eq. (2)
         else:
             step(warp_match.descend, problem, particles, [])  # eq. (3)
     return measured(particles, starts, problem)
@@ -99,10 +99,10 @@ def measured(particles: warp_match.Particles, starts: Candidates, problem: Probl
     is_converged = particles.is_converged.numpy().astype(bool)
     particles.is_converged.zero_()
     launch(warp_match.take_best, len(starts), [particles], [], problem.device)
-    gradients(problem, particles, problem.target, whole_batch(problem.samples))
+    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples))
     rotation = se3.matrix_from_quaternion(np.roll(particles.rotation.numpy().astype(float), 1, axis=-1))
     position = particles.position.numpy().astype(float) + problem.centre_of_mass
-    lever = np.einsum("nij,nj->ni", rotation, problem.pivots[starts.preshape])
+    lever = np.einsum("nij,nj->ni", rotation, problem.hand.pivots[starts.preshape])
     return Matched(
         preshape=starts.preshape,
         T_world_gripper=se3.from_parts(rotation, position - lever),
@@ -147,9 +147,7 @@ def whole_batch(samples: Int[np.ndarray, "p"]) -> Batch:
     return np.zeros_like(samples), samples
 
 
-def object_batch(
-    points: Float[np.ndarray, "n 3"], share: float, rng: np.random.Generator
-) -> Float[np.ndarray, "m 3"]:
+def object_batch(points: Float[np.ndarray, "n 3"], share: float, rng: np.random.Generator) -> Float[np.ndarray, "m 3"]:
     """A random subset of R, at least one point."""
     return points[rng.permutation(len(points))[: max(int(np.ceil(share * len(points))), 1)]]
 
@@ -165,7 +163,18 @@ def gradients(
 ) -> None:
     """One pass of eqs. (16)-(18); `settle` lets particles converge, `remember` keeps their best free pose."""
     offset, size = (wp.array(part, dtype=wp.int32, device=problem.device) for part in batch)
-    inputs = [problem.hand, target, problem.surroundings, problem.terms, offset, size, int(settle), int(remember), particles]
+    inputs = [
+        problem.hand.matching,
+        problem.shuffled,
+        target,
+        problem.surroundings,
+        problem.terms,
+        offset,
+        size,
+        int(settle),
+        int(remember),
+        particles,
+    ]
     launch(warp_match.gradients, particles.preshape.shape[0], inputs, [], problem.device)
 
 
@@ -176,11 +185,11 @@ def step(kernel: wp.Kernel, problem: Problem, particles: warp_match.Particles, i
 
 def stein_step(problem: Problem, particles: warp_match.Particles, starts: Candidates, gamma: float) -> None:
     """One SVGD update of all particles, each with the others of its preshape."""
-    preshapes = np.arange(len(problem.samples))
+    preshapes = np.arange(len(problem.hand.samples))
     begin, end = (np.searchsorted(starts.preshape, preshapes, side) for side in ("left", "right"))
     group = [wp.array(part, dtype=wp.int32, device=problem.device) for part in (begin, end - begin)]
     moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
-    inputs = [gamma, problem.terms, problem.hand, *group, particles]
+    inputs = [gamma, problem.terms, problem.hand.matching, *group, particles]
     launch(warp_match.stein, len(starts), inputs, moved, problem.device)
     particles.position, particles.rotation = moved
 
@@ -190,9 +199,9 @@ def nearest_to(points: Float[np.ndarray, "n 3"], config: MatchingConfig, device:
     return covering_nearest_field(points, config.voxel_size, FIELD_MARGIN, FIELD_NODES, device)
 
 
-def upload_surroundings(scene: Scene, spacing: float, device: str) -> warp_match.Surroundings:
-    """C: target and obstacles thinned to `spacing` [m], and the table as the plane that it is."""
-    own, others = (voxel_downsample(cloud.points, spacing)[0] for cloud in (scene.target, scene.obstacles))
+def upload_surroundings(scene: Scene, most_points: int, device: str) -> warp_match.Surroundings:
+    """C: target and obstacles, thinned, and the table as the plane that it is."""
+    own, others = (thinned(cloud.points, most_points) for cloud in (scene.target, scene.obstacles))
     points = np.concatenate([own, others]) - scene.centre_of_mass
     surroundings = warp_match.Surroundings()
     surroundings.points = wp.array(points, dtype=wp.vec3, device=device)
@@ -209,56 +218,19 @@ def terms_of(config: MatchingConfig) -> warp_match.Terms:
     terms = warp_match.Terms()
     terms.com = wp.vec3(0.0, 0.0, 0.0)
     terms.com_weight = config.com_weight
-    terms.com_gradient_weight = config.com_weight if config.com_gradient == "loss" else -1.0
+    terms.com_gradient_weight = config.com_weight * (1.0 if config.com_gradient == "loss" else -1.0)
     terms.repulsion = config.repulsion
     terms.prior_precision = config.prior_translation**-2
     terms.prior_concentration = config.prior_concentration
     terms.learning_rate = config.learning_rate
     terms.convergence = config.convergence
+    terms.longest_step = config.longest_step
     return terms
-
-
-def upload_hand(
-    preshapes: tuple[Preshape, ...], rng: np.random.Generator, device: str
-) -> tuple[warp_match.Hand, Int[np.ndarray, "p"]]:
-    """Samples about their pivots, shuffled so that every window is a random batch, and the fields of the hand."""
-    pivots = [preshape.tool_centre_point for preshape in preshapes]
-    orders = [rng.permutation(len(preshape.weights)) for preshape in preshapes]
-    samples = [(p.samples.points - pivot)[o] for p, pivot, o in zip(preshapes, pivots, orders, strict=True)]
-    weights = [preshape.weights[order] for preshape, order in zip(preshapes, orders, strict=True)]
-    counts = np.array([len(s) for s in samples])
-    inertia = [inverse_inertia(s, w) for s, w in zip(samples, weights, strict=True)]
-    nearest = [np.argsort(o)[p.nearest_sample].ravel() for p, o in zip(preshapes, orders, strict=True)]
-    hand = warp_match.Hand()
-    hand.samples = wp.array(np.concatenate(samples), dtype=wp.vec3, device=device)
-    hand.weights = wp.array(np.concatenate(weights), dtype=wp.float32, device=device)
-    hand.start = wp.array(np.cumsum([0, *counts[:-1]]), dtype=wp.int32, device=device)
-    hand.count = wp.array(counts, dtype=wp.int32, device=device)
-    hand.tool_centre_point = wp.zeros(len(preshapes), dtype=wp.vec3, device=device)
-    hand.inverse_inertia = wp.array(np.array(inertia), dtype=wp.mat33, device=device)
-    shifted = [p.hand.shifted(-pivot) for p, pivot in zip(preshapes, pivots, strict=True)]
-    hand.distance = stack_fields(shifted, device)
-    hand.nearest_sample = wp.array(np.concatenate(nearest), dtype=wp.int32, device=device)
-    corners = [len(p.outline) for p in preshapes]
-    outlines = [p.outline - pivot for p, pivot in zip(preshapes, pivots, strict=True)]
-    hand.outline = wp.array(np.concatenate(outlines), dtype=wp.vec3, device=device)
-    hand.outline_start = wp.array(np.cumsum([0, *corners[:-1]]), dtype=wp.int32, device=device)
-    hand.outline_count = wp.array(corners, dtype=wp.int32, device=device)
-    return hand, counts
-
-
-def inverse_inertia(points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"]:
-    """Rotational block of A in eq. (3): inverse of the Gauss-Newton matrix sum w (|s|^2 I - s s^T) / sum w [1/m2].
-
-    A millionth of a square metre keeps it finite for samples on a line.
-    """
-    second = np.einsum("n,ni,nj->ij", weights, points, points) / weights.sum()
-    return np.linalg.inv((np.trace(second) + 1e-6) * np.eye(3) - second)
 
 
 def upload_particles(starts: Candidates, problem: Problem) -> warp_match.Particles:
     """The pivots' poses in the object frame, and room for what the kernels find."""
-    lever = np.einsum("nij,nj->ni", starts.T_world_gripper[:, :3, :3], problem.pivots[starts.preshape])
+    lever = np.einsum("nij,nj->ni", starts.T_world_gripper[:, :3, :3], problem.hand.pivots[starts.preshape])
     position = starts.T_world_gripper[:, :3, 3] + lever - problem.centre_of_mass
     n, device = len(starts), problem.device
     particles = warp_match.Particles()

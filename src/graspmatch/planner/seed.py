@@ -10,7 +10,7 @@ from graspmatch.geometry import se3
 from graspmatch.geometry.sphere import GOLDEN_RATIO, fibonacci_directions
 from graspmatch.planner.candidates import Candidates
 from graspmatch.scene.scene import Scene
-from graspmatch.types import Gripper, GraspmatchError, Preshape
+from graspmatch.types import GraspmatchError, Gripper, Preshape
 
 
 def seed_poses(scene: Scene, gripper: Gripper, config: SeedingConfig, rng: np.random.Generator) -> Candidates:

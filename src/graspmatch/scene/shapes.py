@@ -10,7 +10,7 @@ from graspmatch.geometry.mesh import TriangleMesh, concatenate
 Array = np.ndarray
 
 
-def mug(diameter: float = 0.08, height: float = 0.095, wall: float = 0.004) -> TriangleMesh:
+def mug(diameter: float = 0.07, height: float = 0.09, wall: float = 0.004) -> TriangleMesh:
     """A mug around the z axis, its handle towards +x: two closed parts, the handle's ends inside the wall [m]."""
     body = revolved(_cup_profile(diameter / 2, height, wall))
     reach, rise, thickness = 0.35 * diameter, 0.3 * height, 0.065 * diameter

@@ -1,4 +1,4 @@
-"""Rigid transforms: `T_a_b` (4,4) maps b-coordinates to a-coordinates; unit quaternions wxyz; leading axes broadcast."""
+"""Rigid transforms: `T_a_b` (4,4) maps b-coordinates to a-coordinates; quaternions are unit, wxyz; axes broadcast."""
 
 from __future__ import annotations
 

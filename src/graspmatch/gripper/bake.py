@@ -105,7 +105,7 @@ def bake_preshape(
         tool_centre_point=np.average(samples.points, axis=0, weights=weights),
         hand=field,
         corridor=_corridor(field, np.array(card.approach), config),
-        nearest_sample=KDTree(samples.points).query(nodes)[1].reshape(shape).astype(np.int32),
+        nearest_sample=np.asarray(KDTree(samples.points).query(nodes)[1], dtype=np.int32).reshape(shape),
         arrival=arrival,
         outline=outline,
         finger_outlines=outlines,

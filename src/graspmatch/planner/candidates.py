@@ -40,7 +40,8 @@ class Matched(Candidates):
     """Eq. (14) over all samples [m2]."""
     loss: Float[Array, "n"]
     """Eq. (13) [m2]."""
-    is_converged: Array
+    is_free: Array
+    """Whether nothing of C is inside the hand; many that are not get free by opening or backing off."""
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,9 @@ def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.
         else:
             target, batch = problem.target, mini_batch(problem.hand.samples, share, rng)
         refining = k > stein_iterations
-        gradients(problem, particles, target, batch, settle=refining, remember=refining and share == 1)  # (16)-(18)
+        gradients(
+            problem, particles, target, batch, settle=refining, remember=k >= full_batch_from(config)
+        )  # (16)-(18)
         if k <= stein_iterations:
             stein_step(problem, particles, starts, annealing(k, config))  # eqs. (7), (8)
         elif config.method == "icp":
@@ -96,7 +98,6 @@ def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.
 
 def measured(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
     """The particles' best free poses (their last ones where they never were free), and the loss over all samples."""
-    is_converged = particles.is_converged.numpy().astype(bool)
     particles.is_converged.zero_()
     launch(warp_match.take_best, len(starts), [particles], [], problem.device)
     gradients(problem, particles, problem.target, whole_batch(problem.hand.samples))
@@ -108,7 +109,7 @@ def measured(particles: warp_match.Particles, starts: Candidates, problem: Probl
         T_world_gripper=se3.from_parts(rotation, position - lever),
         matching_error=particles.matching_error.numpy().astype(float),
         loss=particles.loss.numpy().astype(float),
-        is_converged=is_converged,
+        is_free=particles.colliding.numpy() == 0,
     )
 
 
@@ -133,8 +134,13 @@ def annealing(k: int, config: MatchingConfig) -> float:
 
 def batch_share(k: int, config: MatchingConfig) -> float:
     """Size of the mini-batch, as a share of the whole: it grows over two thirds of the iterations (Table I)."""
-    ramp = 2 * config.iterations / 3
+    ramp = full_batch_from(config)
     return min(k, ramp) / ramp if config.method != "icp" else 1.0
+
+
+def full_batch_from(config: MatchingConfig) -> float:
+    """Iteration from which on the mini-batch is the whole, and a particle's best free pose is remembered."""
+    return 2 * config.iterations / 3
 
 
 def mini_batch(samples: Int[np.ndarray, "p"], share: float, rng: np.random.Generator) -> Batch:

@@ -55,6 +55,22 @@ def test_distance_field_of_an_open_mesh_has_the_right_sign():
     assert np.all(grids.interpolate(field, np.array(outside)) > 0)
 
 
+def test_link_that_is_inside_out_is_solid_all_the_same(tmp_path, monkeypatch):
+    monkeypatch.setenv("GRASPMATCH_CACHE", str(tmp_path / "cache"))
+    box = trimesh.creation.box(extents=[0.04, 0.1, 0.02])
+    box.apply_translation([0, 0, -0.01])
+    box.invert()
+    box.export(tmp_path / "palm.stl")
+    card = write_toy(tmp_path)
+    asset = '<asset><mesh name="palm" file="palm.stl"/></asset><worldbody>'
+    description = (tmp_path / "toy.xml").read_text().replace("<worldbody>", asset)
+    old = '<geom type="box" size="0.02 0.05 0.01" pos="0 0 -0.01"/>'
+    assert old in description
+    (tmp_path / "toy.xml").write_text(description.replace(old, '<geom type="mesh" mesh="palm"/>'))
+    preshape = load_gripper(card, baking=COARSE).preshapes[0]
+    assert grids.interpolate(preshape.hand, np.array([[0.0, 0.0, -0.01]]))[0] < -0.005
+
+
 def test_hand_field_matches_the_closed_form(toy):
     points = np.random.default_rng(1).uniform([-0.03, -0.06, -0.03], [0.03, 0.06, 0.07], size=(3000, 3))
     for preshape in toy.preshapes:
@@ -126,7 +142,7 @@ def test_second_load_comes_from_the_cache_and_is_the_same(toy, tmp_path, monkeyp
     assert (again.fingers, again.joint_names) == (toy.fingers, toy.joint_names)
 
 
-@pytest.mark.parametrize("damage", ["truncated", "flipped", "garbage", "empty"])
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "directory", "garbage", "empty"])
 def test_damaged_cache_is_baked_anew(toy, tmp_path, damage):
     (file,) = (tmp_path / "cache").glob("*.npz")
     content = bytearray(file.read_bytes())
@@ -135,6 +151,9 @@ def test_damaged_cache_is_baked_anew(toy, tmp_path, damage):
     elif damage == "flipped":
         # In the middle of a large array, where the zip's own check is not enough for a cautious reader.
         content[len(content) // 2] ^= 0xFF
+    elif damage == "directory":
+        at = content.rindex(b"PK\x01\x02")
+        content[at + 4 : at + 12] = b"\xff" * 8
     elif damage == "garbage":
         content = bytearray(b"PK\x03\x04 not an archive")
     else:

@@ -170,7 +170,7 @@ def test_nearest_field_agrees_with_a_tree(rng, device):
     from graspmatch.geometry.cloud import voxel_downsample
 
     points = voxel_downsample(surface_cloud(rng, 20000), 0.005, origin=np.zeros(3))[0]
-    field = covering_nearest_field(points, 0.005, 0.03, 96, device)
+    field = covering_nearest_field(points, 0.005, 0.03, device)
     queries = rng.uniform(points.min(0) - 0.03, points.max(0) + 0.03, size=(20000, 3))
     out = wp.empty(len(queries), dtype=wp.int32, device=device)
     launch(warp_fields.query_nearest, len(queries), [field, vec3(queries, device)], [out], device)
@@ -256,7 +256,7 @@ class Toy:
 
     def gradients(self, scene, terms, particles, **kwargs):
         # A fine field makes the nearest neighbour exact for so few points.
-        field = covering_nearest_field(self.target, 0.004, 0.05, 200, self.device)
+        field = covering_nearest_field(self.target, 0.004, 0.05, self.device)
         batch = [wp.array(v, dtype=wp.int32, device=self.device) for v in ([0, 0], [len(s) for s in self.samples])]
         shuffled = np.concatenate([self.rng.permutation(len(s)) for s in self.samples])
         shuffled = wp.array(shuffled, dtype=wp.int32, device=self.device)
@@ -387,7 +387,7 @@ def test_lone_particle_without_repulsion_takes_the_plain_step(rng, device):
 def test_closed_form_step_matches_the_reference(rng, device):
     toy = Toy(rng, device)
     particles, terms = toy.particles(), toy.terms(com_weight=0.0)
-    field = covering_nearest_field(toy.target, 0.004, 0.05, 200, device)
+    field = covering_nearest_field(toy.target, 0.004, 0.05, device)
     launch(warp_match.align, len(toy.t), [toy.hand(), field, terms, particles], [], device)
     for i, g in enumerate(toy.preshape):
         R = se3.matrix_from_quaternion(toy.q[i])

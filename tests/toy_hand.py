@@ -6,7 +6,7 @@ from pathlib import Path
 
 from graspmatch.config import BakingConfig
 
-COARSE = BakingConfig(grid_spacing=0.005, link_spacing=0.004, closing_steps=12)
+COARSE = BakingConfig(grid_spacing=0.005, link_spacing=0.004, fewest_closing_steps=12)
 
 MJCF = """
 <mujoco>

@@ -21,8 +21,8 @@ class BakingConfig:
     """How far the fields reach beyond the hand [m]."""
     approach_distance: float = 0.15
     """Length of the straight way in that must be free [m]."""
-    closing_steps: int = 24
-    """Postures into which the closing motion is cut."""
+    fewest_closing_steps: int = 24
+    """Postures into which the closing motion is cut; more where a finger would move over a grid cell at once."""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,13 @@ def transformed(mesh: TriangleMesh, T_a_b: Float[np.ndarray, "4 4"]) -> Triangle
     return TriangleMesh(mesh.vertices @ T_a_b[:3, :3].T + T_a_b[:3, 3], mesh.faces)
 
 
+def turned_outwards(mesh: TriangleMesh) -> TriangleMesh:
+    """The mesh, its faces turned over where it encloses a negative volume: some exporters write them inside out."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces] - mesh.vertices.mean(axis=0), 1, 0)
+    volume = np.sum(a * np.cross(b, c))
+    return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) if volume < 0 else mesh
+
+
 def face_normals_areas(mesh: TriangleMesh) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f"]]:
     """Unit normals (zero where degenerate) and areas [m2] of the triangles."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)

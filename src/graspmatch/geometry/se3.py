@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 Array = np.ndarray
 
@@ -27,6 +27,17 @@ def inverse(T_a_b: Float[Array, "*b 4 4"]) -> Float[Array, "*b 4 4"]:
     """`T_b_a`, by transposing the rotation."""
     R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     return from_parts(R_b_a, -(R_b_a @ T_a_b[..., :3, 3, None])[..., 0])
+
+
+def is_rigid(T_a_b: Float[Array, "*b 4 4"], tolerance: float = 1e-4) -> Bool[Array, "*b"]:
+    """Whether each matrix is finite, its rotation orthonormal and right-handed, and its last row that of a pose."""
+    R = T_a_b[..., :3, :3]
+    finite = np.all(np.isfinite(T_a_b), axis=(-2, -1))
+    with np.errstate(invalid="ignore", over="ignore"):
+        skewed = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-2, -1), initial=0)
+        last_row = np.abs(T_a_b[..., 3, :] - [0, 0, 0, 1]).max(axis=-1, initial=0)
+    upright = np.linalg.det(np.where(finite[..., None, None], R, np.eye(3))) > 0
+    return finite & (skewed < tolerance) & (last_row < tolerance) & upright
 
 
 def translation(offset: Float[Array, "*b 3"]) -> Float[Array, "*b 4 4"]:

@@ -77,14 +77,13 @@ def bake_preshape(
 ) -> Preshape:
     """All fields and samples of the posture `joints` (driven values), which closes towards `closed`."""
     card = hand.card
-    fractions = np.linspace(0, 1, config.closing_steps)
-    T_gripper_link = np.stack([pose_links(hand, joints + u * (closed - joints)) for u in fractions])
+    T_gripper_link = closing_motion(hand, baked, joints, closed, config)
+    steps = len(T_gripper_link)
     samples = _samples(card, baked.links, T_gripper_link[0])
     outline = _posed_corners(baked.hulls, T_gripper_link[0], range(len(baked.links)))
     moving = [_link_indices(baked.links, finger.links) for finger in fingers]
     outlines = tuple(
-        np.stack([_posed_corners(baked.hulls, T_gripper_link[k], links) for k in range(config.closing_steps)])
-        for links in moving
+        np.stack([_posed_corners(baked.hulls, T_gripper_link[k], links) for k in range(steps)]) for links in moving
     )
     # One grid for the hand and for all that its fingers reach while closing.
     everything = np.concatenate([outline, *(o.reshape(-1, 3) for o in outlines)])
@@ -110,6 +109,25 @@ def bake_preshape(
         outline=outline,
         finger_outlines=outlines,
     )
+
+
+def closing_motion(
+    hand: HandModel,
+    baked: BakedLinks,
+    joints: Float[np.ndarray, "d"],
+    closed: Float[np.ndarray, "d"],
+    config: BakingConfig,
+) -> Float[np.ndarray, "k l 4 4"]:
+    """Link poses from `joints` to `closed`, in even steps so short that no corner passes over a cell of the grid."""
+
+    def motion(steps: int) -> Float[np.ndarray, "k l 4 4"]:
+        return np.stack([pose_links(hand, joints + u * (closed - joints)) for u in np.linspace(0, 1, steps)])
+
+    coarse = motion(config.fewest_closing_steps)
+    corners = [se3.apply(coarse[:, i], np.tile(hull, (len(coarse), 1, 1))) for i, hull in enumerate(baked.hulls)]
+    longest = max(float(np.linalg.norm(np.diff(path, axis=0), axis=-1).max()) for path in corners)
+    steps = int(np.ceil(longest * (len(coarse) - 1) / config.grid_spacing)) + 1
+    return coarse if steps <= len(coarse) else motion(steps)
 
 
 def _samples(card: Card, links: Sequence[Link], T_gripper_link: Float[np.ndarray, "l 4 4"]):

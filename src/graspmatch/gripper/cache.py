@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import tempfile
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +33,8 @@ def read_gripper(key: str) -> Gripper | None:
         return _unpack(arrays) if digest == _digest(arrays) else None
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None  # a damaged file reads like none: the hand is baked again and replaces it
+    except Exception:  # what a damaged archive raises has no end; it reads like none: the hand is baked again
+        return None
 
 
 def write_gripper(key: str, gripper: Gripper) -> None:
@@ -45,11 +44,14 @@ def write_gripper(key: str, gripper: Gripper) -> None:
     try:
         cache_folder().mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(suffix=".npz", dir=cache_folder())
+    except OSError:
+        return
+    try:
         with os.fdopen(handle, "wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
         os.replace(name, cache_folder() / f"{key}.npz")
     except OSError:
-        return
+        Path(name).unlink(missing_ok=True)
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:

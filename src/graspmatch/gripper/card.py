@@ -188,6 +188,10 @@ def _fingers(table: Table, joints: dict[str, DrivenJoint]) -> tuple[CardFinger, 
     _refuse_twice(table, "fingers", "name", [finger.name for finger in fingers])
     if not fingers:
         raise table.error("fingers", "is empty; describe each finger as [[fingers]]")
+    moved = {name for finger in fingers for name in finger.joints}
+    for name, joint in joints.items():
+        if joint.closed is not None and name not in moved:
+            raise table.error("fingers", f"has no finger that the closing joint '{name}' moves")
     return tuple(fingers)
 
 

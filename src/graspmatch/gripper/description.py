@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from graspmatch.errors import GraspmatchError
-from graspmatch.geometry.mesh import TriangleMesh, concatenate, face_normals_areas, transformed
+from graspmatch.geometry.mesh import TriangleMesh, concatenate, face_normals_areas, transformed, turned_outwards
 from graspmatch.geometry.se3 import from_parts, matrix_from_quaternion
 from graspmatch.gripper.card import Card
 from graspmatch.gripper.mesh_files import find_file, mesh_for_mujoco
@@ -208,7 +208,7 @@ def _geom_mesh(model: mujoco.MjModel, geom: int) -> TriangleMesh:
         mesh = model.geom_dataid[geom]
         vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
         faces = model.mesh_face[model.mesh_faceadr[mesh] :][: model.mesh_facenum[mesh]]
-        return transformed(TriangleMesh(vertices.astype(float), faces.astype(int)), T_body_geom)
+        return transformed(turned_outwards(TriangleMesh(vertices.astype(float), faces.astype(int))), T_body_geom)
     return transformed(_primitive(kind, model.geom_size[geom]), T_body_geom)
 
 

@@ -46,6 +46,8 @@ class HandModel:
     """Limits of the driven joints [rad or m], infinite where there are none."""
     upper: Float[Array, "d"]
     links: tuple[Link, ...]
+    stamps: tuple[int, ...]
+    """When the description's files were last changed."""
 
 
 def load_hand(card_path: Path | str, description_override: Path | str | None = None) -> HandModel:
@@ -53,7 +55,11 @@ def load_hand(card_path: Path | str, description_override: Path | str | None = N
     card_path = Path(card_path).absolute()
     card = read_card(card_path)
     description = Path(description_override or card.description).absolute()
-    return _load_hand(card_path, description, _stamp(card_path), _stamp(description))
+    hand = _load_hand(card_path, description, _stamp(card_path), _stamp(description))
+    if _stamps(hand.description) != hand.stamps:  # a mesh or an included file is another one now
+        _load_hand.cache_clear()
+        hand = _load_hand(card_path, description, _stamp(card_path), _stamp(description))
+    return hand
 
 
 def check_card(card: Card, description: Description) -> None:
@@ -112,7 +118,11 @@ def _load_hand(card_path: Path, description_path: Path, card_stamp: int, descrip
     description = read_description(description_path, card.base_link)
     check_card(card, description)
     lower, upper = _limits(description, card.joint_names)
-    return HandModel(card, description, card.joint_names, lower, upper, description.links)
+    return HandModel(card, description, card.joint_names, lower, upper, description.links, _stamps(description))
+
+
+def _stamps(description: Description) -> tuple[int, ...]:
+    return tuple(_stamp(path) for path in description.files)
 
 
 def _stamp(path: Path) -> int:

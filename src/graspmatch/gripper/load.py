@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -18,7 +19,7 @@ from graspmatch.gripper.kinematics import HandModel, load_hand
 from graspmatch.gripper.zoo import card_path
 from graspmatch.types import Finger, Gripper
 
-BAKING_VERSION = 2
+BAKING_VERSION = 3
 """Raised whenever baking gives another result for the same input."""
 
 
@@ -85,4 +86,4 @@ def closing_target(hand: HandModel, joints: np.ndarray) -> np.ndarray:
 
 def _cache_key(name: str, content: str, baking: BakingConfig) -> str:
     recipe = f"{content} {BAKING_VERSION} {version('graspmatch')} {sorted(asdict(baking).items())}"
-    return f"{name}-{hashlib.sha256(recipe.encode()).hexdigest()[:20]}"
+    return f"{re.sub(r'[^A-Za-z0-9_-]', '_', name)}-{hashlib.sha256(recipe.encode()).hexdigest()[:20]}"

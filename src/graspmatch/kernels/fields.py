@@ -52,14 +52,13 @@ def nearest_field(
 
 
 def covering_nearest_field(
-    points: Float[np.ndarray, "n 3"], spacing: float, margin: float, most_nodes: int, device: str
+    points: Float[np.ndarray, "n 3"], spacing: float, margin: float, device: str
 ) -> warp_fields.NearestField:
     """The nearest-neighbour field of a cloud on a grid that reaches `margin` [m] beyond it.
 
     Nodes are the centres of the cells of `voxel_downsample`, so a cloud thinned at this spacing has one point a node.
     """
     lower, upper = points.min(axis=0) - margin, points.max(axis=0) + margin
-    spacing = max(spacing, float((upper - lower).max()) / most_nodes)
     origin = (np.floor(lower / spacing) + 0.5) * spacing
     counts = np.maximum(np.ceil((upper - origin) / spacing).astype(int) + 1, 2)
     return nearest_field(points, origin, (int(counts[0]), int(counts[1]), int(counts[2])), spacing, device)

@@ -58,9 +58,18 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="graspmatch")
 
 
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked child has the pool but not its threads
+
+
 def thread_count() -> int:
     """Number of CPU threads used for kernels: `GRASPMATCH_THREADS`, else the cores this process may run on."""
-    return int(os.environ.get("GRASPMATCH_THREADS", 0)) or len(os.sched_getaffinity(0))
+    wanted = os.environ.get("GRASPMATCH_THREADS")
+    if not wanted:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not wanted.isdecimal() or int(wanted) == 0:
+        raise GraspmatchError(f"GRASPMATCH_THREADS is '{wanted}'; it must be a number of threads, 1 or more.")
+    return int(wanted)
 
 
 def launch(kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence[Any], device: str) -> None:

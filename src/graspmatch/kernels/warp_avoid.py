@@ -5,11 +5,9 @@ Legend: i candidate, g its preshape, R, p its pose, c scene point, x the same in
 
 import warp as wp
 
-from graspmatch.kernels.warp_fields import FieldStack, interpolate, is_inside, low_node, node_units
+from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_inside, low_node, node_units
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
-
-NEVER = 2.0
 
 
 @wp.kernel
@@ -89,7 +87,7 @@ def arrival_at(stack: FieldStack, g: int, low: wp.vec3i, f: wp.vec3) -> float:
         largest = wp.max(largest, value)
         if (f[0] >= 0.5) == (a == 1) and (f[1] >= 0.5) == (b == 1) and (f[2] >= 0.5) == (c == 1):
             nearest = value
-    return wp.where(largest < 1.5, total, nearest)
+    return wp.where(largest < NEVER, total, nearest)
 
 
 @wp.kernel

@@ -5,11 +5,9 @@ Legend: x node, l link, f finger, k closing step, u closing fraction, s way back
 
 import warp as wp
 
-from graspmatch.kernels.warp_fields import FieldStack, interpolate
+from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
-
-NEVER = 2.0
 
 
 @wp.kernel

@@ -7,6 +7,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
+NEVER = 2.0
+"""Closing fraction of what a finger never meets: beyond 1, where it is closed."""
+
 
 @wp.struct
 class FieldStack:
@@ -89,7 +92,7 @@ def interpolate(stack: FieldStack, g: int, x: wp.vec3) -> float:
 def nearest_index(field: NearestField, x: wp.vec3) -> int:
     """Index of the nearest point: the best of the candidates carried by the eight nodes around x.
 
-    Exact but where two points compete for a cell that neither's node touches; `test_fields` bounds that share.
+    Exact but where rounding lost a candidate; `test_nearest_field_agrees_with_a_tree` bounds that share.
     """
     u = clamp_units((x - field.origin) / field.spacing, field.dims)
     low = low_node(u, field.dims)

@@ -9,13 +9,14 @@ import warp as wp
 from jaxtyping import Float, Int
 
 from graspmatch.config import CollisionConfig
+from graspmatch.geometry import se3
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_avoid import back_off, least_distance
 from graspmatch.kernels.warp_fields import FieldStack
 from graspmatch.planner.candidates import Candidates, Free, Matched
 from graspmatch.planner.tally import Tally
 from graspmatch.planner.thin import thinned
-from graspmatch.planner.upload import upload_gripper
+from graspmatch.planner.upload import pose_arrays, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Plane
 
@@ -34,13 +35,28 @@ def keep_free(
     between the fingers, a few millimetres back make room for the palm, and a match that went too deep gets shallower.
     """
     space = upload_space(scene, gripper, device)
-    posture = matched.preshape.copy()
+    posture, from_table, from_points = choose_posture(matched, space, config)
+    is_above = tally.keep(from_table <= config.largest_retreat, "in collision with the table")
+    matched, posture = matched.select(is_above), posture[is_above]
+    needed = np.maximum(from_table, from_points)[is_above]
+    retreat = point_retreat(Candidates(posture, matched.T_world_gripper), space, space.points, config, needed)
+    is_clear = tally.keep(retreat <= config.largest_retreat, "in collision with object or obstacles on the way in")
+    free = backed_off(matched.select(is_clear), posture[is_clear], retreat[is_clear], space)
+    # Backing off also moves the start of the way in, which was not looked at before.
+    return free.select(tally.keep(free.clearance > 0.99 * config.clearance, "in collision where their way in begins"))
+
+
+def choose_posture(
+    matched: Matched, space: Space, config: CollisionConfig
+) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """The preshape, as matched or wider, that needs the shortest way back, and that way for table and points [m]."""
+    posture, trial = matched.preshape.copy(), matched.preshape.copy()
     from_table, from_points = (np.full(len(matched), np.inf) for _ in range(2))
-    trial, wider = posture.copy(), wider_preshapes(gripper)
+    wider = wider_preshapes(space.gripper)
     while True:
         retry = np.flatnonzero((np.maximum(from_table, from_points) > RETREAT_STEP) & (trial >= 0))
         if len(retry) == 0:
-            break
+            return posture, from_table, from_points
         opened = Candidates(trial[retry], matched.T_world_gripper[retry])
         table = table_retreat(opened, space, config)
         points = point_retreat(opened, space, space.coarse, config, np.zeros(len(opened)))
@@ -48,14 +64,6 @@ def keep_free(
         chosen = retry[better]
         posture[chosen], from_table[chosen], from_points[chosen] = trial[chosen], table[better], points[better]
         trial = np.where((trial >= 0) & config.may_open, wider[trial], -1)
-    is_above = tally.keep(from_table <= config.largest_retreat, "in collision with the table")
-    matched, posture = matched.select(is_above), posture[is_above]
-    needed = np.maximum(from_table, from_points)[is_above]
-    retreat = point_retreat(Candidates(posture, matched.T_world_gripper), space, space.points, config, needed)
-    is_clear = tally.keep(retreat <= config.largest_retreat, "in collision with the object on the way in")
-    free = backed_off(matched.select(is_clear), posture[is_clear], retreat[is_clear], space)
-    # Backing off also moves the start of the way in, which was not looked at before.
-    return free.select(tally.keep(free.clearance > 0.99 * config.clearance, "in collision where their way in begins"))
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,11 @@ def backed_off(matched: Matched, posture: Int[np.ndarray, "n"], retreat: Float[n
     T_world_gripper = matched.T_world_gripper.copy()
     T_world_gripper[:, :3, 3] -= retreat[:, None] * (T_world_gripper[:, :3, :3] @ space.gripper.approach)
     opened = Candidates(posture, T_world_gripper)
-    clearance = np.minimum(point_clearance(opened, space), table_clearance(opened, space))
+    start = Candidates(
+        posture, T_world_gripper @ se3.translation(-space.gripper.approach_distance * space.gripper.approach)
+    )
+    table = np.minimum(table_clearance(opened, space), table_clearance(start, space))
+    clearance = np.minimum(point_clearance(opened, space), table)
     moved = vars(matched) | {"preshape": posture, "T_world_gripper": T_world_gripper}
     return Free(**moved, matched_preshape=matched.preshape, clearance=clearance, retreat=retreat)
 
@@ -127,15 +139,6 @@ def point_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
     launch(least_distance, len(candidates), [space.corridor, space.points, *poses], [clearance], space.device)
     return clearance.numpy().astype(float)
-
-
-def pose_arrays(candidates: Candidates, centre_of_mass: Float[np.ndarray, "3"], device: str) -> list[wp.array]:
-    """Preshape, position and rotation of each candidate as the kernels take them, object frame."""
-    return [
-        wp.array(candidates.preshape, dtype=wp.int32, device=device),
-        wp.array(candidates.T_world_gripper[:, :3, 3] - centre_of_mass, dtype=wp.vec3, device=device),
-        wp.array(candidates.quaternions_xyzw(), dtype=wp.quat, device=device),
-    ]
 
 
 def table_retreat(candidates: Candidates, space: Space, config: CollisionConfig) -> Float[np.ndarray, "n"]:

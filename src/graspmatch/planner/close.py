@@ -9,14 +9,12 @@ from jaxtyping import Float, Int
 from graspmatch.config import ClosingConfig
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_avoid import first_contact
-from graspmatch.planner.avoid import pose_arrays
+from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.candidates import Closed, Free
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.upload import upload_gripper
+from graspmatch.planner.upload import pose_arrays, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Plane, PointCloud
-
-NEVER = 2.0
 
 
 def close_fingers(
@@ -27,12 +25,11 @@ def close_fingers(
     blocked = contact_fractions(free, scene.obstacles, scene, gripper, device)
     if scene.table is not None:
         blocked = np.minimum(blocked, table_fractions(free, scene.table, gripper))
-    touches = (fraction <= 1) & (fraction < blocked)
-    is_blocked = np.any((blocked <= 1) & (blocked <= fraction), axis=-1)
-    reaches = tally.keep(~is_blocked, "fingers stopped by the table or an obstacle")
-    keep = reaches & tally.keep(
-        touches.sum(axis=-1) >= config.fewest_fingers, "fingers that close on nothing", among=reaches
+    reaches = tally.keep(
+        ~np.any(blocked <= stop_fractions(fraction, gripper), axis=-1), "fingers stopped by the table or an obstacle"
     )
+    touching = np.sum(fraction <= 1, axis=-1)
+    keep = reaches & tally.keep(touching >= config.fewest_fingers, "fingers that close on nothing", among=reaches)
     free, fraction = free.select(keep), fraction[keep]
     return Closed(
         **vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free.preshape, fraction, gripper)
@@ -63,25 +60,41 @@ def table_fractions(free: Free, table: Plane, gripper: Gripper) -> Float[np.ndar
         for f, outline in enumerate(preshape.finger_outlines):
             direction = table.normal @ T[:, :3, :3]  # the normal in the gripper frame
             lowest = np.einsum("nj,kvj->nkv", direction, outline).min(axis=-1, initial=np.inf) + height[:, None]
-            hit = lowest < 0
-            first = np.argmax(hit, axis=-1) / (len(outline) - 1)
-            fractions[chosen, f] = np.where(hit.any(axis=-1), first, NEVER)
+            fractions[chosen, f] = first_crossing(lowest)
     return fractions
+
+
+def first_crossing(heights: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n"]:
+    """Where, from 0 to 1 over the k steps, each row first goes below zero, between steps by a straight line."""
+    hit = heights < 0
+    k = np.argmax(hit, axis=-1)
+    rows = np.arange(len(heights))
+    before, after = heights[rows, np.maximum(k - 1, 0)], heights[rows, k]
+    crossing = k - np.where(k > 0, after / np.where(before == after, -1.0, after - before), 0.0)
+    return np.where(hit.any(axis=-1), crossing / (heights.shape[1] - 1), NEVER)
+
+
+def stop_fractions(fraction: Float[np.ndarray, "n f"], gripper: Gripper) -> Float[np.ndarray, "n f"]:
+    """How far each finger closes. Fingers that share a drive stop together: the object slides until all that meet it
+    touch, at the mean of their fractions. A drive whose fingers meet nothing closes fully."""
+    stop = np.empty_like(fraction)
+    for f, finger in enumerate(gripper.fingers):
+        together = [g for g, other in enumerate(gripper.fingers) if set(other.joints) & set(finger.joints)]
+        touching = fraction[:, together] <= 1
+        total = np.where(touching, fraction[:, together], 0.0).sum(axis=-1)
+        count = touching.sum(axis=-1)
+        stop[:, f] = np.where(count > 0, total / np.maximum(count, 1), 1.0)
+    return stop
 
 
 def contact_joints(
     preshape: Int[np.ndarray, "n"], fraction: Float[np.ndarray, "n f"], gripper: Gripper
 ) -> Float[np.ndarray, "n d"]:
-    """Driven joint values at first contact.
-
-    Fingers that share a drive stop together: the object slides until both touch, at the mean of their fractions.
-    A finger that meets nothing closes fully.
-    """
-    pregrasp = np.array([posture.joints for posture in gripper.preshapes])[preshape]
-    joints = pregrasp.copy()
+    """Driven joint values where the fingers stop; a joint that several fingers move takes the mean of theirs."""
+    joints = np.array([posture.joints for posture in gripper.preshapes])[preshape]
+    stop = stop_fractions(fraction, gripper)
     for j in range(len(gripper.joint_names)):
         moved = [f for f, finger in enumerate(gripper.fingers) if j in finger.joints]
         if moved:
-            closed = np.minimum(fraction[:, moved], 1.0).mean(axis=-1)
-            joints[:, j] += closed * (gripper.closed_joints[j] - pregrasp[:, j])
+            joints[:, j] += stop[:, moved].mean(axis=-1) * (gripper.closed_joints[j] - joints[:, j])
     return joints

@@ -28,7 +28,9 @@ from graspmatch.types import Gripper
 FIELD_MARGIN = 0.03
 """How far the nearest-neighbour field reaches beyond the target [m]; farther samples use its border."""
 FIELD_NODES = 96
-"""At most so many nodes along one axis: larger objects get a coarser field."""
+"""At most so many nodes along one axis: larger objects are thinned more."""
+FEWEST_VOXELS = 10
+"""At least so many voxels along the longest side: smaller objects are thinned less."""
 
 
 Batch = tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]
@@ -46,6 +48,8 @@ class Problem:
     """Origin of the object frame in the world [m]."""
     target_points: Float[np.ndarray, "n 3"]
     """R, in the object frame [m]."""
+    spacing: float
+    """Of R and of its nearest-neighbour field [m]."""
     target: NearestField
     surroundings: warp_match.Surroundings
     """C, in the object frame."""
@@ -55,9 +59,9 @@ class Problem:
 
 def prepare(scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.random.Generator, device: str) -> Problem:
     """Thin the clouds, build the nearest-neighbour field, upload the hand."""
-    target_points = voxel_downsample(scene.target.points - scene.centre_of_mass, config.voxel_size, origin=np.zeros(3))[
-        0
-    ]
+    points = scene.target.points - scene.centre_of_mass
+    spacing = target_spacing(points, config.voxel_size)
+    target_points, _ = voxel_downsample(points, spacing, origin=np.zeros(3))
     hand = upload_gripper(gripper, device)
     shuffled = np.concatenate([rng.permutation(count) for count in hand.samples])
     return Problem(
@@ -65,7 +69,8 @@ def prepare(scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.rand
         shuffled=wp.array(shuffled, dtype=wp.int32, device=device),
         centre_of_mass=scene.centre_of_mass,
         target_points=target_points,
-        target=nearest_to(target_points, config, device),
+        spacing=spacing,
+        target=covering_nearest_field(target_points, spacing, FIELD_MARGIN, device),
         surroundings=upload_surroundings(scene, config.collision_points, device),
         terms=terms_of(config),
         device=device,
@@ -79,14 +84,13 @@ def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.
     for k in range(1, config.iterations + 1):
         share = batch_share(k, config)
         if config.batch_from == "object":
-            target = nearest_to(object_batch(problem.target_points, share, rng), config, problem.device)
+            part = object_batch(problem.target_points, share, rng)
+            target = covering_nearest_field(part, problem.spacing, FIELD_MARGIN, problem.device)
             batch = whole_batch(problem.hand.samples)
         else:
             target, batch = problem.target, mini_batch(problem.hand.samples, share, rng)
-        refining = k > stein_iterations
-        gradients(
-            problem, particles, target, batch, settle=refining, remember=k >= full_batch_from(config)
-        )  # (16)-(18)
+        whole = k > stein_iterations and k >= full_batch_from(config)
+        gradients(problem, particles, target, batch, settle=whole, remember=whole)  # eqs. (16)-(18)
         if k <= stein_iterations:
             stein_step(problem, particles, starts, annealing(k, config))  # eqs. (7), (8)
         elif config.method == "icp":
@@ -99,8 +103,10 @@ def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.
 def measured(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
     """The particles' best free poses (their last ones where they never were free), and the loss over all samples."""
     particles.is_converged.zero_()
+    batch = whole_batch(problem.hand.samples)
+    gradients(problem, particles, problem.target, batch, remember=True)  # the last step's pose is a candidate too
     launch(warp_match.take_best, len(starts), [particles], [], problem.device)
-    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples))
+    gradients(problem, particles, problem.target, batch)
     rotation = se3.matrix_from_quaternion(np.roll(particles.rotation.numpy().astype(float), 1, axis=-1))
     position = particles.position.numpy().astype(float) + problem.centre_of_mass
     lever = np.einsum("nij,nj->ni", rotation, problem.hand.pivots[starts.preshape])
@@ -200,9 +206,10 @@ def stein_step(problem: Problem, particles: warp_match.Particles, starts: Candid
     particles.position, particles.rotation = moved
 
 
-def nearest_to(points: Float[np.ndarray, "n 3"], config: MatchingConfig, device: str) -> NearestField:
-    """The nearest-neighbour field of (a mini-batch of) the target."""
-    return covering_nearest_field(points, config.voxel_size, FIELD_MARGIN, FIELD_NODES, device)
+def target_spacing(points: Float[np.ndarray, "n 3"], voxel_size: float) -> float:
+    """Spacing of R [m]: finer for objects of few voxels, coarser for those whose field would need too many nodes."""
+    extent = float(np.ptp(points, axis=0).max())
+    return max(min(voxel_size, extent / FEWEST_VOXELS), (extent + 2 * FIELD_MARGIN) / FIELD_NODES)
 
 
 def upload_surroundings(scene: Scene, most_points: int, device: str) -> warp_match.Surroundings:

@@ -107,9 +107,11 @@ def advice(tally: Tally, gripper: Gripper) -> str:
     """What would help, by the reason that dropped most candidates."""
     reasons = {reason: count for reason, count in tally.counts.items() if reason != "candidates"}
     worst = max(reasons, key=lambda reason: reasons[reason], default="")
+    if not reasons.get(worst):
+        return ""
     hints = {
         "in collision with the table": "The hand meets the table: is the table's height right, the object too flat?",
-        "in collision with the object on the way in": (
+        "in collision with object or obstacles on the way in": (
             f"The hand does not fit around the object: {gripper.name} opens {gripper.opening * 1000:.0f} mm wide."
         ),
         "fingers that close on nothing": "The fingers do not reach the object: is its size in metres?",

@@ -17,12 +17,15 @@ def seed_poses(scene: Scene, gripper: Gripper, config: SeedingConfig, rng: np.ra
     """The same number of starting poses for every preshape."""
     if config.pattern == "gaussians":
         return pose_seeds(sample_gaussians(config.gaussians, config.points, rng), gripper)
+    R_world_up = _upright_frame(scene, np.array(config.robot_direction))
     directions = fibonacci_directions(config.points)
     if config.pattern == "quarter":
-        directions = _quarter_sphere(directions, np.array(config.robot_direction))
+        directions = directions[(directions[:, 2] > 0) & (directions[:, 0] > 0)]
     above = np.tile([0.0, 0.0, 1.0], (config.above, 1))
+    if len(directions) + len(above) == 0:
+        raise GraspmatchError("There are no starting poses: seeding.points or seeding.above must be larger.")
     poses = [
-        _facing_poses(scene, gripper, preshape, directions, above, index, rng)
+        _facing_poses(scene, gripper, preshape, directions, above, R_world_up, index, rng)
         for index, preshape in enumerate(gripper.preshapes)
     ]
     return Candidates(np.repeat(np.arange(len(poses)), len(poses[0])), np.concatenate(poses))
@@ -30,8 +33,13 @@ def seed_poses(scene: Scene, gripper: Gripper, config: SeedingConfig, rng: np.ra
 
 def pose_seeds(T_world_gripper: Float[np.ndarray, "n 4 4"], gripper: Gripper) -> Candidates:
     """Every given pose with every preshape."""
-    if T_world_gripper.ndim != 3 or T_world_gripper.shape[1:] != (4, 4) or len(T_world_gripper) == 0:
+    if T_world_gripper.ndim != 3 or T_world_gripper.shape[1:] != (4, 4):
         raise GraspmatchError(f"Starting poses must have the shape (n, 4, 4), not {T_world_gripper.shape}.")
+    if len(T_world_gripper) == 0:
+        raise GraspmatchError("There are no starting poses: the set given is empty.")
+    is_rigid = se3.is_rigid(T_world_gripper)
+    if not is_rigid.all():
+        raise GraspmatchError(f"{np.sum(~is_rigid)} of {len(is_rigid)} starting poses are no finite rigid transforms.")
     count = len(gripper.preshapes)
     preshape = np.repeat(np.arange(count), len(T_world_gripper))
     return Candidates(preshape, np.tile(T_world_gripper, (count, 1, 1)))
@@ -42,8 +50,13 @@ def sample_gaussians(
 ) -> Float[np.ndarray, "n 4 4"]:
     """Poses drawn from a mixture of Gaussians over positions and rotation vectors."""
     if not gaussians:
-        raise GraspmatchError("The seeding pattern 'gaussians' needs at least one Gaussian in seeding.gaussians.")
+        raise GraspmatchError(
+            "The seeding pattern 'gaussians' needs SeedingConfig(gaussians=(PoseGaussian(...), ...)), given in Python."
+        )
     weight = np.array([gaussian.weight for gaussian in gaussians])
+    norms = np.linalg.norm([gaussian.wxyz for gaussian in gaussians], axis=-1)
+    if np.any(weight < 0) or weight.sum() <= 0 or np.any(norms < 1e-9):
+        raise GraspmatchError("Every seeding Gaussian needs a quaternion that is not zero and a weight of 0 or more.")
     which = rng.choice(len(gaussians), count, p=weight / weight.sum())
     position = np.array([gaussian.position for gaussian in gaussians])[which]
     quaternion = np.array([gaussian.wxyz for gaussian in gaussians], dtype=float)[which]
@@ -54,12 +67,17 @@ def sample_gaussians(
     return se3.from_parts(turn @ se3.matrix_from_quaternion(quaternion), position + offset)
 
 
-def _quarter_sphere(directions: Float[np.ndarray, "n 3"], towards: Float[np.ndarray, "3"]) -> Float[np.ndarray, "m 3"]:
-    """The directions above the horizon on the robot's side."""
-    horizontal = np.linalg.norm(towards[:2])
-    if horizontal < 1e-9:
-        raise GraspmatchError("seeding.robot_direction needs a horizontal part.")
-    return directions[(directions[:, 2] > 0) & (directions[:, :2] @ (towards[:2] / horizontal) > 0)]
+def _upright_frame(scene: Scene, robot_direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Frame with z up and x towards the robot. Up is the table's normal; where there is no table, towards the sensor,
+    for what it saw can be reached from there; else the world's z."""
+    up = np.array([0.0, 0.0, 1.0])
+    if scene.table is not None:
+        up = scene.table.normal
+    elif scene.sensor_origin is not None and np.any(scene.sensor_origin != scene.centre_of_mass):
+        up = scene.sensor_origin - scene.centre_of_mass
+    hints = [robot_direction, *np.eye(3)]
+    hint = next(h for h in hints if np.linalg.norm(np.cross(up, h)) > 1e-3 * np.linalg.norm(up))
+    return se3.rotation_facing(up, hint)
 
 
 def _facing_poses(
@@ -68,6 +86,7 @@ def _facing_poses(
     preshape: Preshape,
     around: Float[np.ndarray, "a 3"],
     above: Float[np.ndarray, "b 3"],
+    R_world_up: Float[np.ndarray, "3 3"],
     index: int,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "n 4 4"]:
@@ -80,10 +99,11 @@ def _facing_poses(
     phase = rng.random()
     turns = 2 * np.pi * ((np.arange(len(around)) + index / 2) * GOLDEN_RATIO + phase)
     turns_above = np.pi * ((np.arange(len(above)) + phase) / max(len(above), 1) + index / 2)
-    R_world_canonical = _facing(-directions, np.concatenate([turns, turns_above]))
-    R_world_gripper = R_world_canonical @ gripper.T_gripper_canonical[:3, :3].T
-    reach = np.max((scene.target.points - scene.centre_of_mass) @ directions.T, axis=0)
-    tcp_world = scene.centre_of_mass + np.maximum(reach, 0)[:, None] * directions
+    R_up_canonical = _facing(-directions, np.concatenate([turns, turns_above]))
+    R_world_gripper = R_world_up @ R_up_canonical @ gripper.T_gripper_canonical[:3, :3].T
+    directions_world = directions @ R_world_up.T
+    reach = np.max((scene.target.points - scene.centre_of_mass) @ directions_world.T, axis=0)
+    tcp_world = scene.centre_of_mass + np.maximum(reach, 0)[:, None] * directions_world
     return se3.from_parts(R_world_gripper, tcp_world - R_world_gripper @ preshape.tool_centre_point)
 
 

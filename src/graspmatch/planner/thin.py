@@ -8,12 +8,15 @@ from jaxtyping import Float
 from graspmatch.geometry.cloud import voxel_downsample
 
 FINEST = 0.006
-"""Spacing [m] that clouds of small objects are thinned to."""
+"""Spacing [m] that clouds of few points are thinned to, or a tenth of the object where that is less."""
 
 
 def thinned(points: Float[np.ndarray, "n 3"], most: int) -> Float[np.ndarray, "m 3"]:
-    """About `most` points at the most, evenly spread: voxels of a surface grow in number with the spacing squared."""
-    thin = voxel_downsample(points, FINEST)[0]
+    """About `most` points or fewer, evenly spread: voxels of a surface get fewer with the square of their size."""
+    if len(points) == 0:
+        return points
+    spacing = min(FINEST, float(np.ptp(points, axis=0).max()) / 10)
+    thin = voxel_downsample(points, spacing)[0]
     if len(thin) <= most:
         return thin
-    return voxel_downsample(points, FINEST * np.sqrt(len(thin) / most))[0]
+    return voxel_downsample(points, spacing * np.sqrt(len(thin) / most))[0]

@@ -13,6 +13,7 @@ from graspmatch.geometry.grid import Grid
 from graspmatch.kernels import warp_match
 from graspmatch.kernels.fields import stack_fields
 from graspmatch.kernels.warp_fields import FieldStack
+from graspmatch.planner.candidates import Candidates
 from graspmatch.types import Gripper, Preshape
 
 
@@ -31,7 +32,7 @@ class DeviceHand:
     """One grid for each finger of each preshape, gripper frame."""
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=4)
 def upload_gripper(gripper: Gripper, device: str) -> DeviceHand:
     """Samples, fields and outlines of all preshapes."""
     preshapes = gripper.preshapes
@@ -76,3 +77,12 @@ def inverse_inertia(points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray,
     """
     second = np.einsum("n,ni,nj->ij", weights, points, points) / weights.sum()
     return np.linalg.inv((np.trace(second) + 1e-6) * np.eye(3) - second)
+
+
+def pose_arrays(candidates: Candidates, centre_of_mass: Float[np.ndarray, "3"], device: str) -> list[wp.array]:
+    """Preshape, position and rotation of each candidate as the kernels take them, object frame."""
+    return [
+        wp.array(candidates.preshape, dtype=wp.int32, device=device),
+        wp.array(candidates.T_world_gripper[:, :3, 3] - centre_of_mass, dtype=wp.vec3, device=device),
+        wp.array(candidates.quaternions_xyzw(), dtype=wp.quat, device=device),
+    ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 
 import numpy as np
@@ -33,21 +33,23 @@ def plan(
 ) -> GraspSet:
     """Ranked grasps, best first, in the frame of the scene's input; an empty set explains itself.
 
-    `starts_world_gripper` are poses to start from (another planner's, say) in place of the configured seeds.
+    `starts_world_gripper` are poses to start from (another planner's, say) in place of the configured seeds; they are
+    refined where they are, without the Stein phase.
     Raises `GraspmatchError` for a device that is not there.
     """
     config = config or PlannerConfig()
     device = resolve_device(config.device)
     rng = np.random.default_rng(config.seed)
     watch = Stopwatch()
+    matching = config.matching
     if starts_world_gripper is None:
         starts = seed_poses(scene, gripper, config.seeding, rng)
-    else:
-        starts = pose_seeds(starts_world_gripper, gripper)
+    else:  # what another planner chose is refined, not scattered by the search for other orientations
+        starts, matching = pose_seeds(starts_world_gripper, gripper), replace(matching, stein_iterations=0)
     tally = Tally(len(starts))
-    problem = prepare(scene, gripper, config.matching, rng, device)
+    problem = prepare(scene, gripper, matching, rng, device)
     watch.lap("prepare")
-    matched = match(starts, problem, config.matching, rng)  # Algorithm 1 of the paper
+    matched = match(starts, problem, matching, rng)  # Algorithm 1 of the paper
     watch.lap("match")
     free = keep_free(matched, scene, gripper, config.collision, device, tally)  # hand and approach sweep
     watch.lap("avoid")

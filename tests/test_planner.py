@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from graspmatch.config import (
+    ClosingConfig,
     CollisionConfig,
     MatchingConfig,
     PlannerConfig,
@@ -364,6 +365,22 @@ def test_world_turned_about_the_vertical_turns_the_seeds(toy):
     np.testing.assert_allclose(second.T_world_gripper[:, :3, :3], expected, atol=1e-9)
     offset = second.T_world_gripper[:, :3, 3] - first.T_world_gripper[:, :3, 3] @ turn.T
     assert np.abs(offset).max() < 0.003  # the clouds are thinned on grids that did not turn
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        replace(SMALL, seed=-1),
+        replace(SMALL, matching=MatchingConfig(voxel_size=0.0)),
+        replace(SMALL, matching=MatchingConfig(learning_rate=float("nan"))),
+        replace(SMALL, ranking=RankingConfig(count=-1)),
+        replace(SMALL, closing=ClosingConfig(fewest_fingers=5)),
+        replace(SMALL, seeding=SeedingConfig(points=0, above=0)),
+    ],
+)
+def test_values_that_make_no_sense_are_errors_that_name_them(toy, config):
+    with pytest.raises(GraspmatchError, match="seed|voxel_size|learning_rate|count|fewest_fingers|starting poses"):
+        plan(box_scene(), toy, config)
 
 
 def test_missing_device_is_an_error_that_lists_the_present_ones(toy):

@@ -37,6 +37,8 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("graspmatch")
     if name not in _HOMES:
         raise AttributeError(f"module 'graspmatch' has no attribute '{name}'. Public: {', '.join(sorted(_HOMES))}")
     value = getattr(importlib.import_module(_HOMES[name]), name)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
+
+from graspmatch.errors import GraspmatchError
 
 Method = Literal["icp", "sgd-icp", "stein-icp", "annealed-stein-icp"]
 SampleMethod = Literal["mesh", "camera"]
@@ -138,3 +141,35 @@ class PlannerConfig:
     """The one integer that all randomness comes from."""
     device: str = "auto"
     """`cpu`, `cuda:0`, or `auto`: CUDA where there is a device."""
+
+
+def check(config: PlannerConfig) -> None:
+    """Raise `GraspmatchError` for a value that planning cannot work with."""
+    seeding, matching, collision = config.seeding, config.matching, config.collision
+    rules: list[tuple[str, float, float, float]] = [  # name, value, least, most
+        ("seed", config.seed, 0, math.inf),
+        ("seeding.points", seeding.points, 0, 1e6),
+        ("seeding.above", seeding.above, 0, 1e6),
+        ("matching.iterations", matching.iterations, 0, 1e6),
+        ("matching.stein_iterations", matching.stein_iterations, 0, 1e6),
+        ("matching.learning_rate", matching.learning_rate, 1e-6, 2),
+        ("matching.voxel_size", matching.voxel_size, 1e-4, 0.1),
+        ("matching.collision_points", matching.collision_points, 1, 1e6),
+        ("matching.com_weight", matching.com_weight, 0, 1e6),
+        ("matching.annealing_cycles", matching.annealing_cycles, 1, 1e6),
+        ("matching.annealing_exponent", matching.annealing_exponent, 0, 100),
+        ("matching.repulsion", matching.repulsion, 0, 1e6),
+        ("matching.longest_step", matching.longest_step, 1e-6, 10),
+        ("matching.prior_translation", matching.prior_translation, 1e-6, 1e6),
+        ("matching.prior_concentration", matching.prior_concentration, 0, 1e6),
+        ("matching.convergence", matching.convergence, 0, 1),
+        ("collision.clearance", collision.clearance, 0, 0.02),
+        ("collision.largest_retreat", collision.largest_retreat, 0, 0.15),
+        ("closing.fewest_fingers", config.closing.fewest_fingers, 0, 100),
+        ("ranking.count", config.ranking.count, 1, 1e6),
+        ("ranking.distinct_distance", config.ranking.distinct_distance, 0, 10),
+        ("ranking.distinct_angle", config.ranking.distinct_angle, 0, 7),
+    ]
+    for name, value, least, most in rules:
+        if not least <= value <= most:  # NaN is not either
+            raise GraspmatchError(f"{name} is {value}; it must be from {least:g} to {most:g}.")

@@ -155,7 +155,8 @@ class GraspSet:
     """Index into `preshape_names`."""
     pregrasp_joints: Float[Array, "n d"]
     grasp_joints: Float[Array, "n d"]
-    """Driven joint values where each finger first meets the object."""
+    """Driven joint values at first contact. Fingers on one drive stop at the mean of their contacts: where they meet the
+    object one after the other, the first pushes it until the last touches too."""
     score: Float[Array, "n"]
     """Higher is better, 0 to 1."""
     clearance: Float[Array, "n"]
@@ -178,6 +179,6 @@ class GraspSet:
     def explain(self) -> str:
         """What became of the candidates, as text."""
         total = self.tally.get("candidates", 0)
-        lines = [f"{len(self)} grasps for {self.provenance.gripper} from {total} candidates."]
+        lines = [f"{len(self)} grasp{'s' * (len(self) != 1)} for {self.provenance.gripper} from {total} candidates."]
         lines += [f"  {count:6d}  {reason}" for reason, count in self.tally.items() if reason != "candidates" and count]
         return "\n".join(lines + ([self.advice] if self.advice else []))

@@ -53,7 +53,7 @@ def picture_of_grasps(
     *,
     link_poses: LinkPoses,
     count: int = 4,
-    size: tuple[int, int] = (1600, 900),
+    size: tuple[int, int] = (960, 540),
     device: str = "cpu",
 ) -> None:
     """Write a PNG of the `count` best grasps: the best one large, its pregrasp as a ghost, the next ones beside it.
@@ -136,7 +136,7 @@ def clearest_azimuth(
     target: Body, hand: Sequence[Body], others: Sequence[Body], up: Float[Array, "3"], *, device: str = "cpu"
 ) -> float:
     """Azimuth [degrees] from which the hand hides least of the target, while much of the hand itself is seen."""
-    azimuths = np.arange(15.0, 375.0, 30.0)
+    azimuths = np.arange(20.0, 380.0, 45.0)
     cameras = [camera_around([target, *hand], azimuth, up=up) for azimuth in azimuths]
     alone = visible_shares([target, *others], cameras, device=device)[:, 0]
     together = visible_shares([target, *others, *hand], cameras, device=device)

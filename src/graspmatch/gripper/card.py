@@ -122,7 +122,7 @@ def preshape_joints(card: Card, joint_names: Sequence[str]) -> list[tuple[str, F
         prefix = "".join(f"spread_{value:.4g}_" for value in spread)
         for fraction in np.linspace(*rule.closing, rule.steps):
             values = {name: a + fraction * (b - a) for name, (a, b) in way.items()}
-            shapes.append((f"{prefix}close_{100 * fraction:.4g}", values | dict(zip(rule.spread, spread, strict=True))))
+            shapes.append((f"{prefix}close_{100 * fraction:.0f}", values | dict(zip(rule.spread, spread, strict=True))))
     opened = {name: a for name, (a, _) in way.items()}
     shapes += [(name, opened | pose) for name, pose in rule.poses.items()]
     return [(name, np.array([values[joint] for joint in joint_names])) for name, values in shapes]

@@ -9,7 +9,7 @@ from importlib.metadata import version
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.config import PlannerConfig
+from graspmatch.config import PlannerConfig, check
 from graspmatch.geometry import se3
 from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.avoid import keep_free
@@ -21,7 +21,7 @@ from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.stopwatch import Stopwatch
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene
-from graspmatch.types import GraspSet, Gripper, Provenance
+from graspmatch.types import GraspmatchError, GraspSet, Gripper, Provenance
 
 
 def plan(
@@ -35,9 +35,14 @@ def plan(
 
     `starts_world_gripper` are poses to start from (another planner's, say) in place of the configured seeds; they are
     refined where they are, without the Stein phase.
-    Raises `GraspmatchError` for a device that is not there.
+    Raises `GraspmatchError` for a device that is not there, and for a configuration that makes no sense.
     """
     config = config or PlannerConfig()
+    check(config)
+    if config.closing.fewest_fingers > len(gripper.fingers):
+        raise GraspmatchError(
+            f"closing.fewest_fingers is {config.closing.fewest_fingers}; {gripper.name} has {len(gripper.fingers)}."
+        )
     device = resolve_device(config.device)
     rng = np.random.default_rng(config.seed)
     watch = Stopwatch()

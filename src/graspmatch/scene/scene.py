@@ -171,7 +171,10 @@ def _obstacle_cloud(obstacles: object, scale: float, spacing: float) -> PointClo
     if obstacles is None:
         return PointCloud(np.zeros((0, 3)))
     content, name = _as_cloud(obstacles, "the obstacle cloud")
-    return PointCloud(surface.thin_obstacles(surface.as_rows(content.points, name) * scale, spacing))
+    points = surface.as_rows(content.points, name) * scale
+    if len(points) and not np.isfinite(points).all(axis=1).any():
+        raise GraspmatchError(f"{name} has {len(points)} obstacle points, and none of them is finite.")
+    return PointCloud(surface.thin_obstacles(points, spacing))
 
 
 def _metres(unit: str) -> float:

@@ -379,7 +379,7 @@ def test_world_turned_about_the_vertical_turns_the_seeds(toy):
     ],
 )
 def test_values_that_make_no_sense_are_errors_that_name_them(toy, config):
-    with pytest.raises(GraspmatchError, match="seed|voxel_size|learning_rate|count|fewest_fingers|starting poses"):
+    with pytest.raises(GraspmatchError, match=r"seed|voxel_size|learning_rate|count|fewest_fingers|starting poses"):
         plan(box_scene(), toy, config)
 
 

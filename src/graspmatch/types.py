@@ -155,8 +155,8 @@ class GraspSet:
     """Index into `preshape_names`."""
     pregrasp_joints: Float[Array, "n d"]
     grasp_joints: Float[Array, "n d"]
-    """Driven joint values at first contact. Fingers on one drive stop at the mean of their contacts: where they meet the
-    object one after the other, the first pushes it until the last touches too."""
+    """Driven joint values at first contact. Fingers on one drive stop at the mean of their contacts: where they meet
+    the object one after the other, the first pushes it until the last touches too."""
     score: Float[Array, "n"]
     """Higher is better, 0 to 1."""
     clearance: Float[Array, "n"]

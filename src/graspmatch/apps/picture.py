@@ -53,7 +53,7 @@ def picture_of_grasps(
     *,
     link_poses: LinkPoses,
     count: int = 4,
-    size: tuple[int, int] = (960, 540),
+    size: tuple[int, int] = (896, 504),
     device: str = "cpu",
 ) -> None:
     """Write a PNG of the `count` best grasps: the best one large, its pregrasp as a ghost, the next ones beside it.

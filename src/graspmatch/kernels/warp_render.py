@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 BACKGROUND = wp.constant(-1)
 FLOOR = wp.constant(-2)
-SKY_RAYS = wp.constant(1)
+SKY_RAYS = wp.constant(2)
 TILE = wp.constant(8)
 FAR = wp.constant(1.0e6)
 GOLDEN = wp.constant(0.61803398875)

@@ -71,6 +71,23 @@ def test_link_that_is_inside_out_is_solid_all_the_same(tmp_path, monkeypatch):
     assert grids.interpolate(preshape.hand, np.array([[0.0, 0.0, -0.01]]))[0] < -0.005
 
 
+def test_changed_mesh_is_seen_in_a_running_process(tmp_path, monkeypatch):
+    monkeypatch.setenv("GRASPMATCH_CACHE", str(tmp_path / "cache"))
+    card = write_toy(tmp_path)
+    asset = '<asset><mesh name="palm" file="palm.stl"/></asset><worldbody>'
+    description = (tmp_path / "toy.xml").read_text().replace("<worldbody>", asset)
+    old = '<geom type="box" size="0.02 0.05 0.01" pos="0 0 -0.01"/>'
+    (tmp_path / "toy.xml").write_text(description.replace(old, '<geom type="mesh" mesh="palm"/>'))
+    thick = []
+    for height in (0.02, 0.04):
+        box = trimesh.creation.box(extents=[0.04, 0.1, height])
+        box.apply_translation([0, 0, -height / 2])
+        box.export(tmp_path / "palm.stl")
+        preshape = load_gripper(card, baking=COARSE).preshapes[0]
+        thick.append(-preshape.outline[:, 2].min())
+    np.testing.assert_allclose(thick, [0.02, 0.04], atol=1e-6)
+
+
 def test_hand_field_matches_the_closed_form(toy):
     points = np.random.default_rng(1).uniform([-0.03, -0.06, -0.03], [0.03, 0.06, 0.07], size=(3000, 3))
     for preshape in toy.preshapes:

@@ -15,15 +15,14 @@ from zoo_measure import (
     SHARED_GRIPPERS,
     ZOO,
     PosedHand,
-    inner_surface_deviation,
-    outer_surface_deviation,
+    assert_inner_surfaces_agree,
+    assert_outsides_agree,
+    assert_same_frames,
+    assert_same_names,
     pose_hand,
     reaches,
     view_grid,
 )
-
-FRAME_TOLERANCE = 1e-4
-"""Of each entry of a frame: 0.1 mm, and 0.006 degrees."""
 
 
 @dataclass(frozen=True)
@@ -98,46 +97,28 @@ def real(case: Case, posture: dict[str, float]) -> PosedHand:
     return pose_hand(path, case.card.base_link, posture)
 
 
-def share_within(distance: Float[np.ndarray, "n"], limit: float) -> float:
-    return float((distance < limit).mean())
-
-
 @CASES
 def test_links_and_joints_have_the_names_and_ranges_of_the_real_file(case: Case):
     ours, theirs = built_in(case, case.posture(0.0)), real(case, case.posture(0.0))
-    assert ours.T_base_link.keys() == theirs.T_base_link.keys()
-    assert ours.ranges.keys() == theirs.ranges.keys()
-    for name, limits in theirs.ranges.items():
-        assert ours.ranges[name] == pytest.approx(limits, abs=FRAME_TOLERANCE), name
+    assert_same_names(ours, theirs)
 
 
 @CASES
 def test_frames_are_those_of_the_real_file_at_any_posture(case: Case):
     for posture in case.postures():
-        ours, theirs = built_in(case, posture), real(case, posture)
-        for name, T in theirs.T_base_link.items():
-            np.testing.assert_allclose(ours.T_base_link[name], T, atol=FRAME_TOLERANCE, err_msg=f"{name} at {posture}")
-        for name, T in theirs.T_base_joint.items():
-            axis_and_anchor = ours.T_base_joint[name][:, 2:]
-            np.testing.assert_allclose(axis_and_anchor, T[:, 2:], atol=FRAME_TOLERANCE, err_msg=f"{name} at {posture}")
-        assert ours.joints == pytest.approx(theirs.joints, abs=FRAME_TOLERANCE)
+        assert_same_frames(built_in(case, posture), real(case, posture))
 
 
 @CASES
 def test_inner_surfaces_agree_within_5_mm(case: Case):
     for posture, gap in zip(case.postures(), case.gaps, strict=True):
-        ours, theirs = built_in(case, posture), real(case, posture)
-        to_real = inner_surface_deviation(ours, theirs, case.views(gap), density=5e4)
-        to_ours = inner_surface_deviation(theirs, ours, case.views(gap), density=5e4)
-        assert min(share_within(to_real, 0.005), share_within(to_ours, 0.005)) >= 0.95, posture
+        assert_inner_surfaces_agree(built_in(case, posture), real(case, posture), case.views(gap))
 
 
 @CASES
 def test_outsides_agree_within_8_mm(case: Case):
     posture = case.posture(0.0)
-    ours, theirs = built_in(case, posture), real(case, posture)
-    to_real, to_ours = outer_surface_deviation(ours, theirs), outer_surface_deviation(theirs, ours)
-    assert min(share_within(to_real, 0.008), share_within(to_ours, 0.008)) >= 0.9
+    assert_outsides_agree(built_in(case, posture), real(case, posture))
 
 
 @CASES

@@ -238,3 +238,38 @@ def measuring_kernels() -> tuple[Any, Any]:
         found[i] = wp.length(points[i] - closest)
 
     return cast, nearest
+
+
+FRAME_TOLERANCE = 1e-4
+"""Of frames, axes and limits, in metres and radians."""
+
+
+def assert_same_names(ours: PosedHand, theirs: PosedHand) -> None:
+    """Links and joints have the same names, joints the same ranges."""
+    assert ours.T_base_link.keys() == theirs.T_base_link.keys()
+    assert ours.ranges.keys() == theirs.ranges.keys()
+    for name, limits in theirs.ranges.items():
+        assert np.allclose(ours.ranges[name], limits, atol=FRAME_TOLERANCE), name
+
+
+def assert_same_frames(ours: PosedHand, theirs: PosedHand) -> None:
+    """Links are in the same places, joints have the same axes, anchors and values."""
+    for name, T in theirs.T_base_link.items():
+        np.testing.assert_allclose(ours.T_base_link[name], T, atol=FRAME_TOLERANCE, err_msg=name)
+    for name, T in theirs.T_base_joint.items():
+        np.testing.assert_allclose(ours.T_base_joint[name][:, 2:], T[:, 2:], atol=FRAME_TOLERANCE, err_msg=name)
+    assert ours.joints.keys() == theirs.joints.keys()
+    for name, value in theirs.joints.items():
+        assert abs(ours.joints[name] - value) < FRAME_TOLERANCE, name
+
+
+def assert_inner_surfaces_agree(ours: PosedHand, theirs: PosedHand, view_points: Float[np.ndarray, "v 3"]) -> None:
+    """95 % of each hand's inner surface lies within 5 mm of the other's."""
+    for one, other in ((ours, theirs), (theirs, ours)):
+        assert np.mean(inner_surface_deviation(one, other, view_points, density=5e4) < 0.005) >= 0.95
+
+
+def assert_outsides_agree(ours: PosedHand, theirs: PosedHand) -> None:
+    """90 % of each hand's surface lies within 8 mm of the other's."""
+    for one, other in ((ours, theirs), (theirs, ours)):
+        assert np.mean(outer_surface_deviation(one, other) < 0.008) >= 0.9

@@ -117,7 +117,6 @@ def collision_pass(hand: Hand, scene: Surroundings, g: int, p: wp.vec3, q: wp.qu
     and table must get out of the hand where they came in: the nearest surface, the corner that is below."""
     gt = wp.vec3(0.0, 0.0, 0.0)
     gw = wp.vec3(0.0, 0.0, 0.0)
-    error = float(0.0)
     colliding = int(0)
     dims = hand.distance.dims[g]
     for c in range(scene.points.shape[0]):
@@ -137,7 +136,6 @@ def collision_pass(hand: Hand, scene: Surroundings, g: int, p: wp.vec3, q: wp.qu
             residual = p + lever - scene.points[c]
             gt += residual
             gw += wp.cross(lever, residual)
-            error += wp.length_sq(residual)
             colliding += 1
     if scene.has_table != 0:
         for v in range(hand.outline_count[g]):
@@ -146,10 +144,9 @@ def collision_pass(hand: Hand, scene: Surroundings, g: int, p: wp.vec3, q: wp.qu
             if height < 0.0:
                 gt += height * scene.normal
                 gw += height * wp.cross(lever, scene.normal)
-                error += height * height
                 colliding += 1
     scale = 1.0 / float(wp.max(colliding, 1))
-    return scale * gt, scale * gw, scale * error, colliding
+    return scale * gt, scale * gw, colliding
 
 
 @wp.func
@@ -200,7 +197,7 @@ def gradients(
     # A: the inverse Gauss-Newton matrix of what was summed.
     gt = (gt + weight * residual) / (1.0 + weight)
     gw += weight * wp.cross(lever, residual)
-    ct, cw, collision_error, colliding = collision_pass(hand, scene, g, p, q)
+    ct, cw, colliding = collision_pass(hand, scene, g, p, q)
     if colliding > 0:
         gt = ct
         gw = cw

@@ -97,16 +97,20 @@ def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.
             step(warp_match.align, problem, particles, [problem.hand.matching, target])  # eq. (2)
         else:
             step(warp_match.descend, problem, particles, [])  # eq. (3)
+    take_best(particles, problem)
     return measured(particles, starts, problem)
 
 
-def measured(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
-    """The particles' best free poses (their last ones where they never were free), and the loss over all samples."""
+def take_best(particles: warp_match.Particles, problem: Problem) -> None:
+    """Every particle back to its best free pose, the one after the last step among them; those never free stay."""
     particles.is_converged.zero_()
-    batch = whole_batch(problem.hand.samples)
-    gradients(problem, particles, problem.target, batch, remember=True)  # the last step's pose is a candidate too
-    launch(warp_match.take_best, len(starts), [particles], [], problem.device)
-    gradients(problem, particles, problem.target, batch)
+    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples), remember=True)
+    launch(warp_match.take_best, particles.preshape.shape[0], [particles], [], problem.device)
+
+
+def measured(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
+    """The particles where they are, in the world, and their loss over all samples."""
+    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples))
     rotation = se3.matrix_from_quaternion(np.roll(particles.rotation.numpy().astype(float), 1, axis=-1))
     position = particles.position.numpy().astype(float) + problem.centre_of_mass
     lever = np.einsum("nij,nj->ni", rotation, problem.hand.pivots[starts.preshape])

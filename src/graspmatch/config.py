@@ -143,6 +143,83 @@ class PlannerConfig:
     """`cpu`, `cuda:0`, or `auto`: CUDA where there is a device."""
 
 
+@dataclass(frozen=True)
+class LiftConfig:
+    """Protocol `lift`, version 1: approach, close, lift 20 cm, hold for 5 s. What is not here is in `simulate`."""
+
+    friction: float = 0.6
+    """Sliding friction of every contact."""
+    torsional_friction: float = 0.005
+    """[m]"""
+    mass: float | None = None
+    """Of the object [kg]; none: from its volume, at 300 kg/m3, 50 to 500 g."""
+    time_step: float = 0.002
+    """[s]"""
+    approach_seconds: float = 0.75
+    """For the straight way in [s]."""
+    closing_seconds: float = 1.0
+    """In which a finger that meets nothing closes from the preshape [s]."""
+    squeeze_seconds: float = 0.25
+    """With all fingers at rest before the lift [s]."""
+    lift_height: float = 0.2
+    """[m]"""
+    lift_seconds: float = 1.5
+    hold_seconds: float = 5.0
+    least_height: float = 0.1
+    """The lowest point of the object must end higher than this above the table [m]."""
+    largest_slip: float = 0.05
+    """Farthest that the object may move in the hand from the beginning of the lift to the end [m]."""
+    largest_turn: float = math.radians(60.0)
+    """Farthest that it may turn in the hand [rad]."""
+    largest_push: float = 0.02
+    """Farthest that the object may be moved before the fingers close [m]."""
+    largest_press: float = 50.0
+    """Largest force between hand and object before the fingers close [N]."""
+    largest_shortfall: float = 0.01
+    """Farthest that the hand may stop short of its place [m]."""
+
+
+@dataclass(frozen=True)
+class ForceClosureConfig:
+    """Protocol `fc6`, version 1, of DexGraspBench: no gravity, six pushes, each from the same grasp."""
+
+    friction: float = 0.6
+    torsional_friction: float = 0.02
+    """[m]"""
+    mass: float = 0.1
+    """[kg]"""
+    time_step: float = 0.004
+    """[s]"""
+    closing_seconds: float = 1.0
+    squeeze_seconds: float = 0.25
+    force: float = 1.0
+    """Along each axis of the world, both ways [N]."""
+    push_seconds: float = 2.0
+    largest_slip: float = 0.05
+    """[m]"""
+    largest_turn: float = math.radians(15.0)
+    """[rad]"""
+    deepest_start: float = 0.01
+    """Deepest penetration of the open hand and the object [m]."""
+
+
+@dataclass(frozen=True)
+class TugConfig:
+    """Protocol `tug`, version 1, of GraspDataGen: no gravity, five pulls one after the other."""
+
+    friction: float = 1.0
+    torsional_friction: float = 0.005
+    """[m]"""
+    mass: float = 1.0
+    """[kg]"""
+    time_step: float = 0.002
+    """[s]"""
+    closing_seconds: float = 1.0
+    acceleration: float = 9.81
+    """Of each pull: its force is this times the mass [m/s2]."""
+    pull_seconds: float = 0.5
+
+
 def check(config: PlannerConfig) -> None:
     """Raise `GraspmatchError` for a value that planning cannot work with."""
     seeding, matching, collision = config.seeding, config.matching, config.collision

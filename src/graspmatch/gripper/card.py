@@ -88,6 +88,8 @@ class Card:
     """[m]"""
     finger_force: float
     """[N]"""
+    self_locking: bool
+    """Whether the drives hold against being pushed back, as worm gears do."""
     opening: float
     """[m]"""
     palm: tuple[str, ...]
@@ -153,6 +155,7 @@ def read_card(path: Path | str) -> Card:
         closing=closing,
         tool_centre_point=np.array(table.numbers("tool_centre_point", 3)),
         finger_force=table.positive("finger_force"),
+        self_locking=table.boolean("self_locking", False),
         opening=table.positive("opening"),
         palm=table.strings("palm"),
         joints=joints,

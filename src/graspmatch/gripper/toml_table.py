@@ -57,6 +57,10 @@ class Table:
         """A number above zero."""
         return float(self._get(key, default, "a number above zero", lambda v: _is_number(v) and v > 0))
 
+    def boolean(self, key: str, default: bool | None = None) -> bool:
+        """True or false."""
+        return self._get(key, default, "true or false", lambda v: isinstance(v, bool))
+
     def numbers(self, key: str, length: int | None, default: list[float] | None = None) -> tuple[float, ...]:
         """A list of `length` numbers, or of any number but none where `length` is None."""
         what = "a list of numbers" if length is None else f"a list of {length} numbers"

@@ -1,0 +1,135 @@
+"""One run of a simulated world: the base follows its way, the fingers close, frames are taken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from graspmatch.simulate.hand import STALL
+from graspmatch.simulate.world import World, body_pose, object_pose
+
+Array = np.ndarray
+
+PLAY = {int(mujoco.mjtJoint.mjJNT_SLIDE): 1e-5, int(mujoco.mjtJoint.mjJNT_HINGE): 1e-4}
+"""Of a joint that is held in place [m, rad]."""
+AT_REST = 0.02
+"""A drive that is slower than this share of its speed has stopped."""
+
+
+@dataclass(eq=False)
+class Film:
+    """The poses of a run, frame by frame."""
+
+    frames_per_second: int = 25
+    times: list[float] = field(default_factory=list)
+    """[s]"""
+    phases: list[str] = field(default_factory=list)
+    T_world_link: list[Float[Array, "l 4 4"]] = field(default_factory=list)
+    """Of the gripper's links."""
+    T_world_object: list[Float[Array, "4 4"]] = field(default_factory=list)
+
+    def take(self, world: World, data: mujoco.MjData, phase: str) -> None:
+        """A frame, if it is time for one."""
+        if self.times and data.time < self.times[-1] + 1 / self.frames_per_second - 1e-9:
+            return
+        self.times.append(float(data.time))
+        self.phases.append(phase)
+        self.T_world_link.append(np.stack([body_pose(data, body) for body in world.link_bodies]))
+        self.T_world_object.append(object_pose(world, data))
+
+
+@dataclass(eq=False)
+class Run:
+    """A world in motion. All motions are generators of one time step each, so that the caller can watch and stop."""
+
+    world: World
+    data: mujoco.MjData
+    film: Film | None = None
+    phase: str = "approach"
+    base: Float[Array, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Where the base shall be, from where it was placed [m]."""
+    speed: Float[Array, "d"] = field(init=False)
+    """Of the driven joints when nothing is in their way; zero: locked."""
+
+    def __post_init__(self) -> None:
+        self.hold_fingers()
+
+    def step(self) -> None:
+        """One time step."""
+        mujoco.mj_step(self.world.model, self.data)
+        if self.world.hand.card.self_locking:
+            self._advance_ratchets()
+        if self.film is not None:
+            self.film.take(self.world, self.data, self.phase)
+
+    def wait(self, seconds: float) -> Iterator[None]:
+        """Stay and go on squeezing."""
+        for _ in range(round(seconds / self.world.model.opt.timestep)):
+            self.step()
+            yield
+
+    def move(self, way: Float[Array, "3"], seconds: float) -> Iterator[None]:
+        """Move the base straight along `way` [m], from rest to rest."""
+        world, start = self.world, self.base
+        lead = world.base_gain[:3, 1] / world.base_gain[:3, 0]  # the servos damp all velocity, what is wanted too
+        steps = round(seconds / world.model.opt.timestep)
+        for turn in 2 * np.pi * np.arange(1, steps + 1) / steps:
+            self.base = start + (turn - np.sin(turn)) / (2 * np.pi) * way
+            velocity = (1 - np.cos(turn)) * way / seconds
+            self.data.ctrl[world.base_servo[:3]] = self.base + lead * velocity
+            self.step()
+            yield
+
+    def close(self, seconds: float, *, squeeze: float) -> Iterator[None]:
+        """Close the fingers at the speed that takes them from open to closed in `seconds`, until they are at rest.
+
+        They are given twice the time, and squeeze for `squeeze` seconds more.
+        """
+        world = self.world
+        self._release_fingers(seconds)
+        moving, quiet = self.speed != 0, 0.0
+        step = world.model.opt.timestep
+        for _ in range(round(2 * seconds / step)):
+            self.step()
+            velocity = self.data.qvel[world.drive_dof[moving]]
+            at_rest = bool(np.all(np.abs(velocity) < AT_REST * np.abs(self.speed[moving])))
+            quiet = quiet + step if at_rest else 0.0
+            yield
+            if quiet > squeeze / 2:
+                break
+        yield from self.wait(squeeze)
+
+    def hold_fingers(self) -> None:
+        """Lock every driven joint where it is."""
+        world, data = self.world, self.data
+        for joint, qpos in zip(world.drive_joint, world.drive_qpos, strict=True):
+            play = PLAY[int(world.model.jnt_type[joint])]
+            world.model.jnt_range[joint] = data.qpos[qpos] - play, data.qpos[qpos] + play
+        data.ctrl[world.drive_servo[world.drive_servo >= 0]] = 0
+        self.speed = np.zeros(len(world.drive_joint))
+
+    def _release_fingers(self, seconds: float) -> None:
+        """Let the closing joints go to the card's closed posture, or back as far as the drives allow."""
+        world, card = self.world, self.world.hand.card
+        self.speed = (card.closed_joints - card.open_joints) / seconds
+        for i in np.flatnonzero(self.speed):
+            held = self.data.qpos[world.drive_qpos[i]]
+            back = held if card.self_locking else world.drive_range[i, 0 if self.speed[i] > 0 else 1]
+            world.model.jnt_range[world.drive_joint[i]] = sorted((back, card.closed_joints[i]))
+            gain, servo = STALL * world.drive_force[i] / abs(self.speed[i]), world.drive_servo[i]
+            world.model.actuator_gainprm[servo, 0], world.model.actuator_biasprm[servo, 2] = gain, -gain
+            self.data.ctrl[servo] = self.speed[i]
+
+    def _advance_ratchets(self) -> None:
+        """What cannot be pushed back keeps what it has closed."""
+        limits = self.world.model.jnt_range
+        for i in np.flatnonzero(self.speed):
+            joint, reached = self.world.drive_joint[i], self.data.qpos[self.world.drive_qpos[i]]
+            if self.speed[i] > 0:
+                limits[joint, 0] = max(limits[joint, 0], min(reached, limits[joint, 1]))
+            else:
+                limits[joint, 1] = min(limits[joint, 1], max(reached, limits[joint, 0]))

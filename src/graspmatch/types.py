@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from graspmatch.errors import GraspmatchError as GraspmatchError
 from graspmatch.geometry.grid import Grid
@@ -182,3 +182,36 @@ class GraspSet:
         lines = [f"{len(self)} grasp{'s' * (len(self) != 1)} for {self.provenance.gripper} from {total} candidates."]
         lines += [f"  {count:6d}  {reason}" for reason, count in self.tally.items() if reason != "candidates" and count]
         return "\n".join(lines + ([self.advice] if self.advice else []))
+
+
+@dataclass(frozen=True)
+class SimulationReport:
+    """Verdicts of the simulator on n grasps, in their order."""
+
+    protocol: str
+    """`lift`, `fc6` or `tug`."""
+    settings: str
+    """The protocol's configuration as JSON: friction and all."""
+    engine: str
+    gripper: str
+    object: str
+    mass: float
+    """Of the object [kg]."""
+    bulge: float
+    """How far the convex parts that physics knows reach beyond the mesh, at 95 % of their surface [m]."""
+    held: Bool[Array, "n"]
+    reason: tuple[str, ...]
+    """Why each did not hold; empty where it held."""
+    slip: Float[Array, "n"]
+    """Motion of the object in the hand after closing [m]."""
+    turn: Float[Array, "n"]
+    """[rad]"""
+    push: Float[Array, "n"]
+    """Motion of the object before closing [m]."""
+    fingers_touching: Int[Array, "n"]
+    """Fingers on the object when they had closed."""
+    seconds: Float[Array, "n"]
+    """Wall time of each trial [s]."""
+
+    def __len__(self) -> int:
+        return len(self.held)

@@ -6,13 +6,11 @@ import json
 import sys
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import tyro
 
-from graspmatch.config import PlannerConfig
+from graspmatch.apps.options import Bench, Command, Demo, Grippers, Parsed, Simulate
 from graspmatch.errors import GraspmatchError
 
 DESCRIPTION = """Plan 6-DoF grasps for any hand from a mesh or a point cloud.
@@ -21,71 +19,6 @@ Exit status: 0 done, 1 a fault of graspmatch, 2 something given cannot be used, 
 
 SHORT_FORMS = {"--method": "--matching.method", "--count": "--ranking.count"}
 """Options of the configuration that are used often enough to have a second name."""
-
-Config = Annotated[PlannerConfig, tyro.conf.arg(name="")]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """Plan grasps for an object; --method and --count are short for --matching.method and --ranking.count."""
-
-    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Mesh or point cloud: STL, OBJ, PLY, GLB, PCD, XYZ, NPZ or NPY."""
-    gripper: str
-    """Name of a known hand, or path of a card (TOML)."""
-    description: Path | None = None
-    """URDF or MJCF file to use instead of the one that the card names."""
-    output: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(aliases=["-o"])] = ()
-    """File to write: .npz, or .yaml for Isaac; may be given more than once."""
-    picture: Path | None = None
-    """Picture of the object and the best grasps to write (.png)."""
-    table: Annotated[str, tyro.conf.arg(metavar="auto|none|z=HEIGHT")] = "auto"
-    """Plane that the object stands on: under its lowest point, none, or at a height in the unit of the input."""
-    unit: Literal["auto", "m", "mm", "cm"] = "auto"
-    """Unit of length of the input."""
-    obstacles: Path | None = None
-    """Point cloud that the hand must not touch, in the frame and unit of the input."""
-    starts: Path | None = None
-    """Grasps to start from in place of the configured seeds, from this or another planner (.npz or Isaac .yaml)."""
-    json: bool = False
-    """Print one JSON object on stdout and everything else on stderr."""
-    quiet: bool = False
-    """Print nothing but errors."""
-    debug: bool = False
-    """Print the traceback of an error."""
-    config: Config = field(default_factory=PlannerConfig)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Grippers:
-    """List the hands that are built in."""
-
-    json: bool = False
-    """Print one JSON object on stdout."""
-    debug: bool = False
-    """Print the traceback of an error."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Demo:
-    """Plan grasps for a mug with the Franka Hand: a table, grasps.yaml, grasps.npz and grasps.png."""
-
-    folder: Path = Path("demo")
-    """Where the files go; made if it is missing."""
-    json: bool = False
-    """Print one JSON object on stdout and everything else on stderr."""
-    quiet: bool = False
-    """Print nothing but errors."""
-    debug: bool = False
-    """Print the traceback of an error."""
-    config: Config = field(default_factory=PlannerConfig)
-
-
-Command = (
-    Annotated[Plan, tyro.conf.subcommand("plan")]
-    | Annotated[Grippers, tyro.conf.subcommand("grippers")]
-    | Annotated[Demo, tyro.conf.subcommand("demo")]
-)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -102,23 +35,32 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _failed(command, f"unexpected {message} (--debug shows where)", status=1)
 
 
-def parse(argv: Sequence[str]) -> Plan | Grippers | Demo:
+def parse(argv: Sequence[str]) -> Parsed:
     """The command of a command line."""
     words = [_long_form(word) for word in argv]
     options = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes, tyro.conf.DisallowNone)
     return tyro.cli(Command, prog="graspmatch", description=DESCRIPTION, args=words, config=options)
 
 
-def run(command: Plan | Grippers | Demo) -> int:
+def run(command: Parsed) -> int:
     """Do what a command says; the result is the exit status."""
     # Loaded now, not above: asking for help should not wait for them.
     from graspmatch.apps import commands
+    from graspmatch.apps.speech import Speech
 
     if isinstance(command, Grippers):
         return commands.list_grippers(as_json=command.json)
-    say = commands.Speech(as_json=command.json, quiet=command.quiet)
+    say = Speech(as_json=command.json, quiet=command.quiet)
     if isinstance(command, Demo):
         return commands.demo(command.folder, command.config, say)
+    if isinstance(command, Simulate):
+        from graspmatch.apps.simulation import simulate_file
+
+        return simulate_file(command, parse_table(command.table), say)
+    if isinstance(command, Bench):
+        from graspmatch.apps.bench.command import bench
+
+        return bench(command, say)
     return commands.plan_file(
         command.input,
         command.gripper,
@@ -156,7 +98,7 @@ def _long_form(word: str) -> str:
     return SHORT_FORMS.get(name, name) + equals + value
 
 
-def _failed(command: Plan | Grippers | Demo, message: str, *, status: int) -> int:
+def _failed(command: Parsed, message: str, *, status: int) -> int:
     """Say in one line what went wrong."""
     if command.debug:
         traceback.print_exc()

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,10 +12,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from graspmatch.apps import report
+from graspmatch.apps.speech import Speech
 from graspmatch.config import PlannerConfig
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import check_place, write_atomically
@@ -30,29 +28,6 @@ NOT_FOUND = 3
 
 PICTURED = 3
 """A picture shows the hand at so many of the best grasps."""
-
-
-@dataclass(frozen=True)
-class Speech:
-    """Where text for people goes: to stdout, to stderr where stdout is for JSON, or nowhere."""
-
-    as_json: bool = False
-    quiet: bool = False
-
-    def show(self, what: object) -> None:
-        """Print text or a table."""
-        stream = sys.stderr if self.as_json else sys.stdout
-        # A log file has room for whole tables; a terminal knows its own width.
-        console = Console(file=stream, quiet=self.quiet, width=None if stream.isatty() else 140)
-        console.print(what, highlight=False, markup=False, soft_wrap=isinstance(what, str))
-
-    @contextlib.contextmanager
-    def progress(self, message: str) -> Iterator[None]:
-        """Show one line while something runs, if someone is looking; what it prints goes to stderr."""
-        console = Console(stderr=True, quiet=self.quiet)
-        status = console.status(message) if console.is_terminal else contextlib.nullcontext()
-        with status, contextlib.redirect_stdout(sys.stderr):
-            yield
 
 
 @dataclass(frozen=True)
@@ -103,8 +78,8 @@ def plan_file(
     outputs.check()
     with say.progress(f"Reading {path.name}"):
         scene = Scene.read(path, table=table, unit=unit, obstacles=obstacles)
-        start_grasps = None if starts is None else read_grasps(starts)
     hand = load_hand(gripper_name, description, config, say)
+    start_grasps = None if starts is None else read_grasps(starts, hand.gripper)
     return plan_and_report(scene, hand, config, say, outputs, starts=start_grasps)
 
 

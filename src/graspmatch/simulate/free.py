@@ -95,7 +95,7 @@ def tug(
     begin = in_hand(world, run.data)
     run.phase = "pull"
     for pull in PULLS / np.linalg.norm(PULLS, axis=-1, keepdims=True):
-        run.data.xfrc_applied[world.object_body, :3] = config.acceleration * world.solid.mass * pull
+        run.data.xfrc_applied[world.object_body, :3] = config.acceleration * world.target.mass * pull
         for _ in run.wait(config.pull_seconds):
             pass
     lost = touched.fingers - touch(world, run.data).fingers

@@ -69,12 +69,12 @@ def _approach(
     """What went wrong on the way in, how far the object was moved [m], and the deepest contact [m]."""
     world = run.world
     way = T_world_gripper[:3, 3] - gripper_pose(world, run.data)[:3, 3]
-    centre = apply(T_world_object, world.solid.centre_of_mass[None])[0]
+    centre = apply(T_world_object, world.target.centre_of_mass[None])[0]
     met: list[Touch] = []
     for _ in run.move(way, config.approach_seconds):
         if run.data.ncon:
             met.append(touch(world, run.data))
-    push = float(np.linalg.norm(apply(object_pose(world, run.data), world.solid.centre_of_mass[None])[0] - centre))
+    push = float(np.linalg.norm(apply(object_pose(world, run.data), world.target.centre_of_mass[None])[0] - centre))
     short = float(np.linalg.norm(gripper_pose(world, run.data)[:3, 3] - T_world_gripper[:3, 3]))
     depth = max((t.depth for t in met), default=0.0)
     for is_wrong, what in (
@@ -91,7 +91,7 @@ def _approach(
 def lowest_point(world: World, data: mujoco.MjData) -> float:
     """Height of the object's lowest point [m]."""
     T = object_pose(world, data)
-    return float(min((part.vertices @ T[2, :3]).min() for part in world.solid.parts) + T[2, 3])
+    return float(min((part.vertices @ T[2, :3]).min() for part in world.target.parts) + T[2, 3])
 
 
 def _watch(run: Run, steps: Iterator[None], begin: Float[Array, "4 4"]) -> bool:

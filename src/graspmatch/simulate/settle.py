@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from graspmatch.geometry.mesh import TriangleMesh
 from graspmatch.geometry.se3 import from_parts, translation
-from graspmatch.simulate.solid import Solid
+from graspmatch.simulate.rigid_body import RigidBody
 from graspmatch.simulate.world import OBJECT, Physics, add_object, compile_spec, new_spec
 
 Array = np.ndarray
@@ -31,7 +31,7 @@ REST_SPEED, REST_SECONDS = 2e-3, 0.2
 class Settled:
     """An object at rest, or one that did not stay."""
 
-    solid: Solid
+    target: RigidBody
     """With the foot that it stands on."""
     T_world_object: Float[Array, "4 4"]
     """On the table z = 0."""
@@ -41,31 +41,31 @@ class Settled:
     """It fell over or rolled away even so: it cannot be judged in this pose."""
 
 
-def settle(solid: Solid, friction: float) -> Settled:
+def settle(target: RigidBody, friction: float) -> Settled:
     """Let the object down onto the table z = 0 in the orientation of its mesh, above the origin of the mesh."""
     for level in LEVELS:
-        levelled = _with_level_foot(solid, level) if level else solid
+        levelled = _with_level_foot(target, level) if level else target
         T_world_object, is_still = _let_down(levelled, friction)
         turned = float(np.arccos(np.clip(T_world_object[2, 2], -1, 1)))
         went = float(
             np.linalg.norm(
-                (T_world_object[:3, :3] @ solid.centre_of_mass + T_world_object[:3, 3])[:2] - solid.centre_of_mass[:2]
+                (T_world_object[:3, :3] @ target.centre_of_mass + T_world_object[:3, 3])[:2] - target.centre_of_mass[:2]
             )
         )
         if is_still and turned < TOPPLED and went < ROLLED:
             return Settled(levelled, T_world_object, level, topples=False)
-    return Settled(solid, translation(np.array([0, 0, -_lowest(solid)])), 0.0, topples=True)
+    return Settled(target, translation(np.array([0, 0, -_lowest(target)])), 0.0, topples=True)
 
 
-def _let_down(solid: Solid, friction: float) -> tuple[Float[Array, "4 4"], bool]:
+def _let_down(target: RigidBody, friction: float) -> tuple[Float[Array, "4 4"], bool]:
     """Where the object is at rest, and whether it came to rest."""
     physics = Physics(time_step=0.002, friction=friction, torsional_friction=0.005)
     spec = new_spec(physics)
-    add_object(spec, solid)
+    add_object(spec, target)
     model = compile_spec(spec, physics)
     data = mujoco.MjData(model)
-    data.qpos[2] = -_lowest(solid)
-    reach = float(max(np.linalg.norm(part.vertices - solid.centre_of_mass, axis=-1).max() for part in solid.parts))
+    data.qpos[2] = -_lowest(target)
+    reach = float(max(np.linalg.norm(part.vertices - target.centre_of_mass, axis=-1).max() for part in target.parts))
     quiet = 0.0
     while data.time < LONGEST and quiet < REST_SECONDS:
         mujoco.mj_step(model, data)
@@ -76,16 +76,16 @@ def _let_down(solid: Solid, friction: float) -> tuple[Float[Array, "4 4"], bool]
     return from_parts(data.xmat[body].reshape(3, 3), data.xpos[body]), quiet >= REST_SECONDS
 
 
-def _with_level_foot(solid: Solid, height: float) -> Solid:
+def _with_level_foot(target: RigidBody, height: float) -> RigidBody:
     """Corners of the parts within `height` of the lowest point, let down to it: the parts' hulls stand on them."""
-    lowest = _lowest(solid)
+    lowest = _lowest(target)
     parts = []
-    for part in solid.parts:
+    for part in target.parts:
         vertices = part.vertices.copy()
         vertices[vertices[:, 2] < lowest + height, 2] = lowest
         parts.append(TriangleMesh(vertices, part.faces))
-    return replace(solid, parts=tuple(parts))
+    return replace(target, parts=tuple(parts))
 
 
-def _lowest(solid: Solid) -> float:
-    return float(min(part.vertices[:, 2].min() for part in solid.parts))
+def _lowest(target: RigidBody) -> float:
+    return float(min(part.vertices[:, 2].min() for part in target.parts))

@@ -69,7 +69,7 @@ def in_hand(world: World, data: mujoco.MjData) -> Float[Array, "4 4"]:
 def motion_in_hand(world: World, data: mujoco.MjData, begin: Float[Array, "4 4"]) -> tuple[float, float]:
     """How far the object's centre of mass has moved [m] and the object turned [rad] in the hand since `begin`."""
     now = in_hand(world, data)
-    centre = world.solid.centre_of_mass[None]
+    centre = world.target.centre_of_mass[None]
     slip = float(np.linalg.norm(apply(now, centre) - apply(begin, centre)))
     cosine = (np.trace(begin[:3, :3].T @ now[:3, :3]) - 1) / 2
     return slip, float(np.arccos(np.clip(cosine, -1, 1)))

@@ -12,7 +12,7 @@ from graspmatch.errors import GraspmatchError
 from graspmatch.geometry.se3 import from_parts, quaternion_from_matrix
 from graspmatch.gripper.kinematics import HandModel, solve_posture
 from graspmatch.simulate.hand import BASE, BASE_AXES, HAND_BIT, OBJECT_BIT, PREFIX, TABLE_BIT, add_hand, drive_forces
-from graspmatch.simulate.solid import Solid
+from graspmatch.simulate.rigid_body import RigidBody
 
 Array = np.ndarray
 
@@ -43,7 +43,7 @@ class World:
     """A compiled model with the addresses of its parts. The model is changed from trial to trial, the rest is not."""
 
     model: mujoco.MjModel
-    solid: Solid
+    target: RigidBody
     hand: HandModel
     object_body: int
     object_qpos: int
@@ -93,16 +93,16 @@ def new_spec(physics: Physics) -> mujoco.MjSpec:
     return spec
 
 
-def add_object(spec: mujoco.MjSpec, solid: Solid) -> None:
+def add_object(spec: mujoco.MjSpec, target: RigidBody) -> None:
     """A free body of convex parts, with the frame of the mesh."""
     body = spec.worldbody.add_body(name=OBJECT)
     body.add_freejoint(name=OBJECT)
-    moments, axes = np.linalg.eigh(solid.inertia)
+    moments, axes = np.linalg.eigh(target.inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     body.explicitinertial = True
-    body.mass, body.ipos, body.inertia = solid.mass, solid.centre_of_mass, moments
+    body.mass, body.ipos, body.inertia = target.mass, target.centre_of_mass, moments
     body.iquat = quaternion_from_matrix(axes)
-    for i, part in enumerate(solid.parts):
+    for i, part in enumerate(target.parts):
         mesh = spec.add_mesh(name=f"part_{i}")
         mesh.uservert, mesh.userface = part.vertices.ravel(), part.faces.ravel()
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
@@ -116,6 +116,9 @@ def add_object(spec: mujoco.MjSpec, solid: Solid) -> None:
 
 def compile_spec(spec: mujoco.MjSpec, physics: Physics) -> mujoco.MjModel:
     """The model, with one kind of contact everywhere."""
+    log = mujoco.MjLogConfig.get()
+    log.logto_file = False  # warnings are counted in the state; a file in the user's folder helps nobody
+    log.set()
     for geom in spec.geoms:
         geom.friction = (physics.friction, physics.torsional_friction, 0.0001)
         geom.condim, geom.solref, geom.solimp, geom.margin = 4, CONTACT_SOLREF, CONTACT_SOLIMP, 0.0
@@ -125,10 +128,10 @@ def compile_spec(spec: mujoco.MjSpec, physics: Physics) -> mujoco.MjModel:
         raise GraspmatchError(f"MuJoCo cannot build the world: {error}") from error
 
 
-def build_world(solid: Solid, hand: HandModel, physics: Physics) -> World:
+def build_world(target: RigidBody, hand: HandModel, physics: Physics) -> World:
     """Object, table and hand."""
     spec = new_spec(physics)
-    add_object(spec, solid)
+    add_object(spec, target)
     add_hand(spec, hand)
     model = compile_spec(spec, physics)
     drives = [model.joint(PREFIX + name).id for name in hand.joint_names]
@@ -139,7 +142,7 @@ def build_world(solid: Solid, hand: HandModel, physics: Physics) -> World:
     names = [own.joint(i).name for i in range(own.njnt)]
     return World(
         model=model,
-        solid=solid,
+        target=target,
         hand=hand,
         object_body=model.body(OBJECT).id,
         object_qpos=int(model.joint(OBJECT).qposadr[0]),

@@ -20,7 +20,7 @@ LIGHTEST, HEAVIEST = 0.05, 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class RigidBody:
     """A rigid object of one density."""
 
     name: str
@@ -38,7 +38,7 @@ class Solid:
     """About the centre of mass [kg m2]."""
 
 
-def solid(name: str, mesh: TriangleMesh, convex: ConvexParts, *, mass: float | None = None) -> Solid:
+def rigid_body(name: str, mesh: TriangleMesh, convex: ConvexParts, *, mass: float | None = None) -> RigidBody:
     """The object with a given mass [kg], or else of 300 kg/m3 but at least 50 g and at most 500 g.
 
     Volume and inertia are those of the mesh where it is closed, else of the convex parts.
@@ -55,7 +55,7 @@ def solid(name: str, mesh: TriangleMesh, convex: ConvexParts, *, mass: float | N
     if mass is not None and not 0 < mass < np.inf:
         raise GraspmatchError(f"The mass of {name} is {mass} kg; it must be positive.")
     mass = float(np.clip(volume * DENSITY, LIGHTEST, HEAVIEST)) if mass is None else float(mass)
-    return Solid(
+    return RigidBody(
         name=name,
         mesh=mesh,
         parts=convex.parts,

@@ -1,0 +1,69 @@
+"""`graspmatch bench`: options to an experiment."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+
+from graspmatch.apps.bench.experiments import ablation, paper, quick
+from graspmatch.apps.bench.objects import folder_sources
+from graspmatch.apps.bench.run import Workshop
+from graspmatch.apps.bench.trials import TrialConfig
+from graspmatch.apps.options import Bench
+from graspmatch.apps.report import finite_or_null
+from graspmatch.apps.speech import Speech
+from graspmatch.config import LiftConfig, check
+from graspmatch.errors import GraspmatchError
+
+TRIALS = {"paper": 50, "ablation": 5, "quick": 3}
+"""Per object, where none are given."""
+
+
+def bench(command: Bench, say: Speech) -> int:
+    """Run the experiment that is asked for; the result is the exit status."""
+    config, workshop = _trial_config(command), _workshop(command)
+    if command.what == "quick":
+        result = quick(command.gripper, config, command.config, workshop, say)
+    else:
+        sources = folder_sources(command.objects)
+        if command.what == "ablation":
+            result = ablation(command.gripper, sources, config, workshop, say)
+        else:
+            options = {"description": command.description}
+            result = paper(command.gripper, sources, config, command.config, workshop, say, **options)
+    if say.as_json:
+        print(json.dumps(finite_or_null(result), allow_nan=False))
+    return 0
+
+
+def _trial_config(command: Bench) -> TrialConfig:
+    check(command.config)
+    rules: list[tuple[str, float | None, float, float]] = [  # name, value, least, most
+        ("trials", command.trials, 1, 1e6),
+        ("seed", command.seed, 0, 2**63),
+        ("friction", command.friction, 0, 10),
+        ("mass", command.mass, 1e-3, 100),
+        ("pose-error-mm", command.pose_error_mm, 0, 1000),
+        ("pose-error-deg", command.pose_error_deg, 0, 180),
+        ("processes", command.processes, 1, 1024),
+    ]
+    for name, value, least, most in rules:
+        if value is not None and not least <= value <= most:
+            raise GraspmatchError(f"--{name} is {value}; it must be from {least:g} to {most:g}.")
+    return TrialConfig(
+        lift=replace(LiftConfig(), friction=command.friction, mass=command.mass),
+        trials=command.trials or TRIALS[command.what],
+        seed=command.seed,
+        pose_error_mm=command.pose_error_mm,
+        pose_error_deg=command.pose_error_deg,
+    )
+
+
+def _workshop(command: Bench) -> Workshop:
+    try:
+        command.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GraspmatchError(f"Cannot make the folder {command.output}: {error.strerror}.") from error
+    processes = command.processes or len(os.sched_getaffinity(0))
+    return Workshop(command.output, processes, fresh=command.fresh, quiet=command.quiet)

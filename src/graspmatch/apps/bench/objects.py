@@ -1,0 +1,58 @@
+"""The objects of a benchmark: files of a folder, or those made by code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from graspmatch.errors import GraspmatchError
+from graspmatch.scene.read import MESH_SUFFIXES, read_mesh
+
+if TYPE_CHECKING:
+    from graspmatch.simulate.rigid_body import RigidBody
+
+
+@dataclass(frozen=True)
+class ObjectSource:
+    """Where an object comes from."""
+
+    name: str
+    mesh: Path | None
+    """None: it is made by code."""
+
+    def load(self, *, mass: float | None = None) -> RigidBody:
+        """The object as physics sees it; the first time, its convex parts are computed."""
+        from graspmatch.simulate.convex import ConvexSolid, convex_parts
+        from graspmatch.simulate.rigid_body import rigid_body
+
+        if self.mesh is None:
+            from graspmatch.scene.household import OBJECTS
+
+            made = OBJECTS[self.name]()
+            return rigid_body(self.name, made.mesh, ConvexSolid(made.parts, 0.0), mass=mass)
+        mesh = read_mesh(self.mesh)
+        ready = self.mesh.parent / "convex"
+        return rigid_body(self.name, mesh, convex_parts(mesh, folder=ready if ready.is_dir() else None), mass=mass)
+
+
+def household_sources() -> list[ObjectSource]:
+    """The twelve objects made by code."""
+    from graspmatch.scene.household import OBJECTS
+
+    return [ObjectSource(name, None) for name in sorted(OBJECTS)]
+
+
+def folder_sources(folder: Path) -> list[ObjectSource]:
+    """Every NAME/mesh.* and every mesh file of a folder, by name."""
+    if not folder.is_dir():
+        raise GraspmatchError(f"No folder {folder}. Objects are given as a folder of NAME/mesh.stl, or of mesh files.")
+    files = [path for path in sorted(folder.iterdir()) if path.is_file() and path.suffix.lower() in MESH_SUFFIXES]
+    inner = [path for path in sorted(folder.glob("*/mesh.*")) if path.suffix.lower() in MESH_SUFFIXES]
+    sources = [ObjectSource(path.stem, path.resolve()) for path in files]
+    sources += [ObjectSource(path.parent.name, path.resolve()) for path in inner]
+    if not sources:
+        raise GraspmatchError(
+            f"{folder} has no object: expected NAME/mesh.stl, or mesh files ({MESH_SUFFIXES[0]}, ...)."
+        )
+    return sources

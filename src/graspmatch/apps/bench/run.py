@@ -1,0 +1,89 @@
+"""A benchmark from objects and planners to trials, with a progress bar, resumable."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from graspmatch.apps.bench.objects import ObjectSource
+from graspmatch.apps.bench.records import read_records, recorded
+from graspmatch.apps.bench.trials import Job, Planner, Trial, TrialConfig, run_trials
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One planner with one hand on some objects."""
+
+    label: str
+    """Names the file of its trials."""
+    planner: Planner
+    gripper: str
+    sources: Sequence[ObjectSource]
+    config: TrialConfig
+    description: Path | None = None
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """Where and how trials are run."""
+
+    output: Path
+    """Folder for their records."""
+    processes: int
+    fresh: bool = False
+    """Forget earlier trials."""
+    quiet: bool = False
+
+
+def run_benchmark(benchmark: Benchmark, workshop: Workshop) -> list[Trial]:
+    """All its trials, by object and number; those that an earlier run has written down are not run again."""
+    path = workshop.output / f"{benchmark.label}.trials.jsonl"
+    header = _header(benchmark)
+    if workshop.fresh:
+        path.unlink(missing_ok=True)
+    wanted = [(source, trial) for source in benchmark.sources for trial in range(benchmark.config.trials)]
+    known = {(trial.object, trial.trial): trial for trial in read_records(path, header)}
+    todo = [(source, trial) for source, trial in wanted if (source.name, trial) not in known]
+    jobs = [
+        Job(source, benchmark.gripper, benchmark.description, benchmark.planner, trial, benchmark.config)
+        for source, trial in todo
+    ]
+    with _progress(workshop) as bar:
+        preparing = bar.add_task(f"{benchmark.label}: preparing objects", total=len({source for source, _ in todo}))
+        for source in dict.fromkeys(source for source, _ in todo):
+            source.load()  # once, here: the processes find its convex parts in the cache
+            bar.advance(preparing)
+        task = bar.add_task(f"{benchmark.label}: trials", total=len(jobs))
+        for trial in recorded(run_trials(jobs, processes=workshop.processes), path, header, done=len(known)):
+            known[trial.object, trial.trial] = trial
+            bar.advance(task)
+    return [known[source.name, trial] for source, trial in wanted]
+
+
+def _header(benchmark: Benchmark) -> dict[str, Any]:
+    """What the results depend on, as JSON reads it back. The number of trials is not of it: more can be added."""
+    from graspmatch.gripper.kinematics import load_hand
+    from graspmatch.gripper.zoo import card_path
+
+    settings = asdict(benchmark.config)
+    del settings["trials"]
+    hand = load_hand(card_path(benchmark.gripper), benchmark.description)
+    header = {
+        "gripper": hand.card.name,
+        "description": hand.description.path.name,
+        "planner": repr(benchmark.planner),
+        "settings": settings,
+    }
+    return json.loads(json.dumps(header))
+
+
+def _progress(workshop: Workshop) -> Progress:
+    console = Console(stderr=True, quiet=workshop.quiet)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, disable=workshop.quiet or not console.is_terminal, transient=True)

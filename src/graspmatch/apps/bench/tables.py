@@ -1,0 +1,100 @@
+"""Rates as a table for the terminal and for Markdown, as JSON, and as a plot."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from graspmatch.apps.bench.machine import described
+from graspmatch.apps.bench.summary import Row
+from graspmatch.apps.report import finite_or_null
+from graspmatch.formats.files import write_atomically
+
+Published = dict[str, tuple[float, float]]
+"""Rate and seconds per plan by object, as a publication prints them."""
+
+
+def cells(row: Row, published: Published) -> list[str]:
+    """One row of the table: object, rate, interval, held of trials, published rate, times, reasons."""
+    printed = published.get(row.name)
+    if row.trials:
+        rate, interval = f"{100 * row.rate:.1f} %", f"{100 * row.low:.0f} - {100 * row.high:.0f} %"
+    else:
+        rate, interval = "-", "-"
+    reasons = "; ".join(f"{count} {reason}" for reason, count in row.reasons.items())
+    return [
+        row.name,
+        rate,
+        interval,
+        f"{row.held}/{row.trials}",
+        f"{100 * printed[0]:.1f} %" if printed else "-",
+        _seconds(row.plan_seconds),
+        f"{printed[1]:.2f}" if printed else "-",
+        _seconds(row.simulation_seconds),
+        reasons,
+    ]
+
+
+HEADINGS = ("object", "held", "95 %", "trials", "paper", "plan s", "paper s", "lift s", "failures")
+
+
+def rich_table(title: str, rows: Sequence[Row], published: Published) -> Table:
+    """The table for a terminal; the mean is apart from the objects."""
+    table = Table(title=title, title_justify="left")
+    for heading in HEADINGS:
+        table.add_column(heading, justify="left" if heading in ("object", "failures") else "right")
+    for row in rows:
+        table.add_row(*cells(row, published), end_section=row is rows[-2] if len(rows) > 1 else False)
+    return table
+
+
+def markdown(title: str, rows: Sequence[Row], published: Published, notes: Sequence[str]) -> str:
+    """The same as Markdown, with notes below it."""
+    head = ["| " + " | ".join(HEADINGS) + " |", "| --- |" + " ---: |" * (len(HEADINGS) - 2) + " --- |"]
+    body = ["| " + " | ".join(cells(row, published)) + " |" for row in rows]
+    return "\n".join([f"# {title}", "", *head, *body, "", *(f"- {note}" for note in notes), ""])
+
+
+def notes_on(about: dict[str, str], settings: dict[str, Any], extra: Sequence[str] = ()) -> list[str]:
+    """What a reader must know of the figures: protocol, friction, mass, seed, machine."""
+    lift = settings["lift"]
+    mass = "300 kg/m3, 50 to 500 g" if lift["mass"] is None else f"{1000 * lift['mass']:.0f} g"
+    error = f"{settings['pose_error_mm']:g} mm, {settings['pose_error_deg']:g} degrees"
+    return [
+        f"Protocol `lift` version 1: friction {lift['friction']:g}, mass {mass}, pose error {error}, "
+        f"seed {settings['seed']}; only the top-ranked grasp of each plan is tried.",
+        "The mean is over the objects' rates, its interval over all trials; times are medians on one process.",
+        described(about),
+        *extra,
+    ]
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """A result that other programs read; what is not a number is null."""
+    text = json.dumps(finite_or_null(content), indent=1, allow_nan=False) + "\n"
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def write_text(path: Path, text: str) -> None:
+    """A whole file or none."""
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def record(rows: Sequence[Row], published: Published) -> list[dict[str, Any]]:
+    """The rows as JSON, with the published figures."""
+    return [
+        {**asdict(row), "published": dict(zip(("rate", "seconds"), published[row.name], strict=True))}
+        if row.name in published
+        else asdict(row)
+        for row in rows
+    ]
+
+
+def _seconds(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2f}"

@@ -1,0 +1,189 @@
+"""Trials: an object at a random place on the table is planned for, and the best grasp is tried in the simulator."""
+
+from __future__ import annotations
+
+import os
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from graspmatch.apps.bench.objects import ObjectSource
+from graspmatch.config import LiftConfig, PlannerConfig
+from graspmatch.geometry import se3
+from graspmatch.geometry.mesh import transformed
+from graspmatch.scene.scene import Scene
+from graspmatch.types import GraspSet, Gripper
+
+Array = np.ndarray
+Planner = Callable[[Scene, Gripper, int], GraspSet]
+"""Scene, hand and seed to grasps, best first. It is sent to other processes, so it must be a module's own."""
+
+NO_GRASP = "no grasp found"
+TOPPLES = "the object does not stand"
+SPREAD = 0.05
+"""Objects are put down at most this far from the origin along each axis [m]."""
+
+
+@dataclass(frozen=True)
+class TrialConfig:
+    """What all trials of a benchmark have in common."""
+
+    lift: LiftConfig = field(default_factory=LiftConfig)
+    trials: int = 50
+    """Per object."""
+    seed: int = 0
+    pose_error_mm: float = 0.0
+    """Standard deviation of the hand's position along each axis."""
+    pose_error_deg: float = 0.0
+    """Of its rotation about each axis."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One trial, to be run in any process."""
+
+    source: ObjectSource
+    gripper: str
+    description: Path | None
+    planner: Planner
+    trial: int
+    config: TrialConfig
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What came of one trial."""
+
+    object: str
+    trial: int
+    held: bool
+    reason: str
+    """Empty where the object was held."""
+    plan_seconds: float
+    simulation_seconds: float
+    grasps: int
+    """How many the plan had."""
+    preshape: str
+    score: float | None
+    slip: float
+    """[m]"""
+    turn: float
+    """[rad]"""
+
+    @property
+    def counts(self) -> bool:
+        """Whether the trial says something of the planner."""
+        return self.reason != TOPPLES
+
+
+@dataclass(frozen=True)
+class PlanWith:
+    """The planner of this package with a configuration."""
+
+    config: PlannerConfig = field(default_factory=PlannerConfig)
+
+    def __call__(self, scene: Scene, gripper: Gripper, seed: int) -> GraspSet:
+        """Grasps for the scene."""
+        from graspmatch.planner.plan import plan
+
+        return plan(scene, gripper, replace(self.config, seed=seed))
+
+
+def run_trials(jobs: Iterable[Job], *, processes: int) -> Iterator[Trial]:
+    """The trials as they end, in any order; their results depend on the jobs alone."""
+    if processes == 1:
+        yield from map(run_trial, jobs)
+        return
+    # Fresh interpreters with one thread each: the cores are shared out among processes.
+    context = get_context("spawn")
+    threads = str(max(1, (os.cpu_count() or 1) // processes))
+    with ProcessPoolExecutor(processes, context, initializer=_use_threads, initargs=(threads,)) as pool:
+        futures = [pool.submit(run_trial, job) for job in jobs]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            for future in futures:
+                future.cancel()
+
+
+def run_trial(job: Job) -> Trial:
+    """Settle, place, plan, lift."""
+    from graspmatch.simulate.judge import try_grasp
+
+    settled, world, gripper = _stage(job.source, job.gripper, job.description, job.config.lift)
+    name = job.source.name
+    if settled.topples:
+        return Trial(name, job.trial, False, TOPPLES, 0.0, 0.0, 0, "", None, 0.0, 0.0)
+    rng = np.random.default_rng([job.config.seed, zlib.crc32(name.encode()), job.trial])
+    T_world_object = _random_place(rng) @ settled.T_world_object
+    planner_seed = int(rng.integers(2**31))
+    error = _pose_error(rng, job.config)
+    scene = Scene.from_mesh(transformed(settled.target.mesh, T_world_object), table=0.0)
+    begin = time.perf_counter()
+    grasps = job.planner(scene, gripper, planner_seed)
+    planned = time.perf_counter() - begin
+    if not len(grasps):
+        return Trial(name, job.trial, False, NO_GRASP, planned, 0.0, 0, "", None, 0.0, 0.0)
+    verdict = try_grasp(world, _displaced(grasps, error), 0, T_world_object, job.config.lift)
+    preshape = int(grasps.preshape[0])
+    return Trial(
+        object=name,
+        trial=job.trial,
+        held=verdict.held,
+        reason=verdict.reason,
+        plan_seconds=planned,
+        simulation_seconds=time.perf_counter() - begin - planned,
+        grasps=len(grasps),
+        preshape=grasps.preshape_names[preshape] if preshape >= 0 else "",
+        score=float(grasps.score[0]) if np.isfinite(grasps.score[0]) else None,
+        slip=verdict.slip,
+        turn=verdict.turn,
+    )
+
+
+def _use_threads(threads: str) -> None:
+    os.environ.setdefault("GRASPMATCH_THREADS", threads)
+
+
+@lru_cache(maxsize=8)
+def _stage(source: ObjectSource, gripper_name: str, description: Path | None, config: LiftConfig):
+    """The settled object, the world with the hand, and the hand as the planner knows it."""
+    from graspmatch.gripper.kinematics import load_hand
+    from graspmatch.gripper.load import load_gripper
+    from graspmatch.gripper.zoo import card_path
+    from graspmatch.simulate.judge import world_of
+    from graspmatch.simulate.settle import settle
+
+    settled = settle(source.load(mass=config.mass), config.friction)
+    hand = load_hand(card_path(gripper_name), description)
+    return settled, world_of(settled.target, hand, config), load_gripper(gripper_name, description=description)
+
+
+def _random_place(rng: np.random.Generator) -> Float[Array, "4 4"]:
+    """A turn about the vertical and a place on the table."""
+    turn = se3.rotation_exp(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))
+    return se3.from_parts(turn, np.r_[rng.uniform(-SPREAD, SPREAD, 2), 0.0])
+
+
+def _pose_error(rng: np.random.Generator, config: TrialConfig) -> Float[Array, "4 4"]:
+    """T_gripper_displaced; drawn even where it is zero, so that all else stays as it is without it."""
+    turn, shift = rng.normal(size=3), rng.normal(size=3)
+    rotation = se3.rotation_exp(np.radians(config.pose_error_deg) * turn)
+    return se3.from_parts(rotation, 1e-3 * config.pose_error_mm * shift)
+
+
+def _displaced(grasps: GraspSet, T_gripper_displaced: Float[Array, "4 4"]) -> GraspSet:
+    return replace(
+        grasps,
+        T_world_gripper=grasps.T_world_gripper @ T_gripper_displaced,
+        T_world_pregrasp=grasps.T_world_pregrasp @ T_gripper_displaced,
+    )

@@ -1,0 +1,154 @@
+"""The commands and their options: the command line is made of these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from graspmatch.config import PlannerConfig
+
+Config = Annotated[PlannerConfig, tyro.conf.arg(name="")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Plan grasps for an object; --method and --count are short for --matching.method and --ranking.count."""
+
+    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
+    """Mesh or point cloud: STL, OBJ, PLY, GLB, PCD, XYZ, NPZ or NPY."""
+    gripper: str
+    """Name of a known hand, or path of a card (TOML)."""
+    description: Path | None = None
+    """URDF or MJCF file to use instead of the one that the card names."""
+    output: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(aliases=["-o"])] = ()
+    """File to write: .npz, or .yaml for Isaac; may be given more than once."""
+    picture: Path | None = None
+    """Picture of the object and the best grasps to write (.png)."""
+    table: Annotated[str, tyro.conf.arg(metavar="auto|none|z=HEIGHT")] = "auto"
+    """Plane that the object stands on: under its lowest point, none, or at a height in the unit of the input."""
+    unit: Literal["auto", "m", "mm", "cm"] = "auto"
+    """Unit of length of the input."""
+    obstacles: Path | None = None
+    """Point cloud that the hand must not touch, in the frame and unit of the input."""
+    starts: Path | None = None
+    """Grasps to start from in place of the configured seeds, from this or another planner (.npz or Isaac .yaml)."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+    config: Config = field(default_factory=PlannerConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grippers:
+    """List the hands that are built in."""
+
+    json: bool = False
+    """Print one JSON object on stdout."""
+    debug: bool = False
+    """Print the traceback of an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo:
+    """Plan grasps for a mug with the Franka Hand: a table, grasps.yaml, grasps.npz and grasps.png."""
+
+    folder: Path = Path("demo")
+    """Where the files go; made if it is missing."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+    config: Config = field(default_factory=PlannerConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulate:
+    """Try grasps of a file in the simulator, and say which hold."""
+
+    grasps: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="GRASPS")]
+    """File of grasps: .npz, Isaac .yaml, or GraspNet .npy."""
+    object: Path
+    """Mesh of the object, in the frame of the grasps."""
+    gripper: str | None = None
+    """Name of a known hand, or path of a card; none: the hand that the file names."""
+    description: Path | None = None
+    """URDF or MJCF file to use instead of the one that the card names."""
+    protocol: Literal["lift", "fc6", "tug"] = "lift"
+    """lift: pick it up from the table; fc6: six pushes without gravity; tug: five pulls without gravity."""
+    friction: float | None = None
+    """Sliding friction; none: the protocol's."""
+    mass: float | None = None
+    """Mass of the object [kg]; none: the protocol's."""
+    count: int | None = None
+    """Try only the best so many."""
+    table: Annotated[str, tyro.conf.arg(metavar="auto|z=HEIGHT")] = "auto"
+    """Plane that the object stands on: under its lowest point, or at a height."""
+    unit: Literal["auto", "m", "mm", "cm"] = "auto"
+    """Unit of length of the mesh."""
+    video: Path | None = None
+    """Video of the first grasp to write (.mp4 or .gif)."""
+    strip: Path | None = None
+    """Picture of the first grasp at eight moments to write (.png)."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Plan for objects at random places and lift the best grasp of each plan in the simulator."""
+
+    what: Annotated[tyro.conf.Positional[Literal["paper", "ablation", "quick"]], tyro.conf.arg(metavar="WHAT")]
+    """paper: Table II or III; ablation: numbers of initialisations, and methods; quick: twelve objects made by code."""
+    gripper: str = "franka_hand"
+    """Name of a known hand, or path of a card."""
+    description: Path | None = None
+    """URDF or MJCF file to use instead of the one that the card names."""
+    objects: Path = Path("../shared/data/objects/paper")
+    """Folder of NAME/mesh.stl, or of mesh files; not for quick."""
+    trials: int | None = None
+    """Per object; none: 50 for paper, 5 for ablation, 3 for quick."""
+    seed: int = 0
+    """The one integer that all randomness comes from."""
+    friction: float = 0.6
+    """Sliding friction of every contact."""
+    mass: float | None = None
+    """Of every object [kg]; none: from its volume."""
+    pose_error_mm: float = 0.0
+    """Standard deviation of the hand's position along each axis."""
+    pose_error_deg: float = 0.0
+    """Of its rotation about each axis."""
+    processes: int | None = None
+    """How many trials run at once; none: one for each core."""
+    output: Path = Path("bench-results")
+    """Folder for results; trials that are in it already are not run again."""
+    fresh: bool = False
+    """Run all trials again."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+    config: Config = field(default_factory=PlannerConfig)
+
+
+Command = (
+    Annotated[Plan, tyro.conf.subcommand("plan")]
+    | Annotated[Grippers, tyro.conf.subcommand("grippers")]
+    | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
+)
+Parsed = Plan | Grippers | Demo | Simulate | Bench

@@ -1,0 +1,169 @@
+"""`graspmatch simulate`: the grasps of a file, tried one after the other."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from typing import Any, Literal
+
+import numpy as np
+from rich import box
+from rich.progress import track
+from rich.table import Table
+
+from graspmatch.apps.options import Simulate
+from graspmatch.apps.report import finite_or_null
+from graspmatch.apps.speech import Speech
+from graspmatch.errors import GraspmatchError
+from graspmatch.formats.files import check_place
+from graspmatch.formats.registry import read_grasps
+from graspmatch.geometry.mesh import transformed
+from graspmatch.geometry.se3 import translation
+from graspmatch.gripper.card import read_card
+from graspmatch.gripper.kinematics import HandModel, load_hand
+from graspmatch.gripper.load import load_gripper
+from graspmatch.gripper.zoo import card_path, known_grippers
+from graspmatch.scene.scene import Scene
+from graspmatch.simulate.convex import convex_parts
+from graspmatch.simulate.judge import PROTOCOLS, ProtocolConfig, judge, try_grasp, world_of
+from graspmatch.simulate.motion import Film
+from graspmatch.simulate.rigid_body import RigidBody, rigid_body
+from graspmatch.simulate.settle import Settled, settle
+from graspmatch.types import GraspSet, SimulationReport
+
+NONE_HELD = 3
+"""Exit status when no grasp holds."""
+
+
+def simulate_file(command: Simulate, table: float | Literal["auto"] | None, say: Speech) -> int:
+    """Try the grasps of a file on an object; show the verdicts, write the pictures; the result is the exit status."""
+    for path in (command.video, command.strip):
+        if path is not None:
+            check_place(path)
+    hand, grasps = _hand_and_grasps(command)
+    config = _protocol(command)
+    with say.progress(f"Reading {command.object.name} (the first time, its convex parts are computed)"):
+        target, height = _target(command, table, config.mass)
+    grasps = _moved(grasps, -height)
+    if command.count is not None:
+        grasps = _best(grasps, command.count)
+    rest = _at_rest(target, config, say)
+    with say.progress("Simulating"):
+        watch = (lambda n: iter(track(n, "Simulating", transient=True))) if say.is_watched else iter
+        report = judge(grasps, rest.target, hand, rest.T_world_object, config, watch=watch)
+    say.show(table_of_verdicts(report))
+    say.show(summary_of(report))
+    if (command.video or command.strip) and len(grasps):
+        _film(command, grasps, rest, hand, config, say)
+    if say.as_json:
+        print(json.dumps(record_of_report(report), allow_nan=False))
+    return 0 if report.held.any() else NONE_HELD
+
+
+def table_of_verdicts(report: SimulationReport) -> Table:
+    """One row per grasp."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in ("grasp", "verdict", "slip mm", "turn deg", "fingers"):
+        table.add_column(name, justify="left" if name == "verdict" else "right")
+    for i in range(len(report)):
+        moved = f"{1000 * report.slip[i]:.1f}", f"{np.degrees(report.turn[i]):.1f}"
+        table.add_row(str(i), report.reason[i] or "held", *moved, str(report.fingers_touching[i]))
+    return table
+
+
+def summary_of(report: SimulationReport) -> str:
+    """How many held, and under which protocol."""
+    settings = json.loads(report.settings)
+    return (
+        f"{int(report.held.sum())} of {len(report)} grasps held: protocol {report.protocol}, friction "
+        f"{settings['friction']:g}, mass {1000 * report.mass:.0f} g, {report.engine}, "
+        f"{np.median(report.seconds) if len(report) else 0:.2f} s each; convex parts reach "
+        f"{1000 * report.bulge:.1f} mm beyond the mesh."
+    )
+
+
+def record_of_report(report: SimulationReport) -> dict[str, Any]:
+    """The report as JSON."""
+    content = asdict(report)
+    arrays = {key: value.tolist() for key, value in content.items() if isinstance(value, np.ndarray)}
+    return finite_or_null({**content, **arrays, "reason": list(report.reason), "settings": json.loads(report.settings)})
+
+
+def _hand_and_grasps(command: Simulate) -> tuple[HandModel, GraspSet]:
+    """The hand that is asked for, or the one that the file names, and the grasps in the order of its joints."""
+    if command.gripper is not None:
+        card = card_path(command.gripper)
+        needs_hand = command.grasps.suffix.lower() == ".npy"
+        gripper = load_gripper(command.gripper, description=command.description) if needs_hand else None
+        return load_hand(card, command.description), read_grasps(command.grasps, gripper)
+    grasps = read_grasps(command.grasps)
+    named = grasps.provenance.gripper
+    known = {read_card(card_path(name)).name: name for name in known_grippers()}
+    if named not in known:
+        raise GraspmatchError(f"{command.grasps} is for '{named or 'no hand'}', which is not built in: give --gripper.")
+    return load_hand(card_path(known[named]), command.description), grasps
+
+
+def _protocol(command: Simulate) -> ProtocolConfig:
+    given = {"friction": command.friction, "mass": command.mass}
+    return replace(PROTOCOLS[command.protocol](), **{name: value for name, value in given.items() if value is not None})
+
+
+def _target(command: Simulate, table: float | Literal["auto"] | None, mass: float | None) -> tuple[RigidBody, float]:
+    """The object [m] above a table at z = 0, and the height of that table in the frame of the grasps."""
+    scene = Scene.read(command.object, table=table, unit=command.unit)
+    if scene.mesh is None:
+        raise GraspmatchError(f"{command.object} is a cloud; the simulator needs a mesh.")
+    height = scene.table.offset if scene.table is not None else 0.0
+    ready = command.object.parent / "convex"
+    scaled = command.unit not in ("auto", "m")
+    convex = convex_parts(scene.mesh, folder=ready if ready.is_dir() and not scaled else None)
+    down = translation(np.array([0.0, 0.0, -height]))
+    parts = tuple(transformed(part, down) for part in convex.parts)
+    moved = replace(convex, parts=parts)
+    return rigid_body(command.object.stem, transformed(scene.mesh, down), moved, mass=mass), height
+
+
+def _moved(grasps: GraspSet, height: float) -> GraspSet:
+    up = translation(np.array([0.0, 0.0, height]))
+    poses = {"T_world_gripper": up @ grasps.T_world_gripper, "T_world_pregrasp": up @ grasps.T_world_pregrasp}
+    return replace(grasps, **poses)
+
+
+def _best(grasps: GraspSet, count: int) -> GraspSet:
+    """The first so many."""
+    per_grasp = {
+        name: value[:count]
+        for name, value in vars(grasps).items()
+        if isinstance(value, np.ndarray) and len(value) == len(grasps)
+    }
+    return replace(grasps, **per_grasp)
+
+
+def _at_rest(target: RigidBody, config: ProtocolConfig, say: Speech) -> Settled:
+    """Where the object stands; without a table, where it is."""
+    if "lift_height" not in asdict(config):
+        return Settled(target, np.eye(4), 0.0, topples=False)
+    rest = settle(target, config.friction)
+    if rest.topples:
+        raise GraspmatchError(f"{target.name} does not stand as it is given: it falls over or rolls away.")
+    moved = float(np.linalg.norm(rest.T_world_object[:3, 3]))
+    tilt = float(np.degrees(np.arccos(np.clip(rest.T_world_object[2, 2], -1, 1))))
+    if moved > 0.003 or tilt > 1:
+        say.show(f"Note: the object settles by {1000 * moved:.0f} mm and {tilt:.0f} degrees before it is grasped.")
+    return rest
+
+
+def _film(
+    command: Simulate, grasps: GraspSet, rest: Settled, hand: HandModel, config: ProtocolConfig, say: Speech
+) -> None:
+    from graspmatch.apps.film import write_film_strip, write_video
+
+    film = Film()
+    world = world_of(rest.target, hand, config)
+    try_grasp(world, grasps, 0, rest.T_world_object, config, film)
+    for path, write in ((command.video, write_video), (command.strip, write_film_strip)):
+        if path is not None:
+            with say.progress(f"Drawing {path.name}"):
+                write(path, hand.links, rest.target.mesh, film)
+            say.show(f"Wrote {path}")

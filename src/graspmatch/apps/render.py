@@ -13,7 +13,7 @@ from jaxtyping import Float, Int, UInt8
 
 from graspmatch.geometry.mesh import TriangleMesh, concatenate, face_normals_areas
 from graspmatch.geometry.se3 import apply, from_parts, inverse, rotation_facing
-from graspmatch.kernels import warp_render
+from graspmatch.kernels import warp_rays, warp_render
 from graspmatch.kernels.launch import launch, resolve_device
 from graspmatch.types import GraspmatchError, Plane
 
@@ -93,8 +93,8 @@ def render(
     """Picture (sRGB) of bodies under a soft light, on a table that fades into the background; `size` is (w, h)."""
     device = resolve_device(device)
     stage = _upload(bodies, device)
-    view = _view(camera, size)
-    setting = _setting(stage, camera, table)
+    view = view_of(camera, size)
+    setting = setting_of(stage.lower, stage.upper, camera, table)
     samples = 4 * size[0] * size[1]
     seen = _find_surfaces(stage, view, setting, device)
     light = wp.zeros((2 * size[1], 2 * size[0]), dtype=wp.vec2, device=device)
@@ -115,7 +115,7 @@ def visible_shares(
     stage = _upload(bodies, device, smooth=False)
     shares = np.zeros((len(cameras), len(bodies)))
     for i, camera in enumerate(cameras):
-        seen = _find_surfaces(stage, _view(camera, size), _setting(stage, camera, None), device)
+        seen = _find_surfaces(stage, view_of(camera, size), setting_of(stage.lower, stage.upper, camera, None), device)
         index = seen[0].numpy().ravel()
         shares[i] = np.bincount(index[index >= 0], minlength=len(bodies)) / index.size
     return shares
@@ -185,9 +185,9 @@ def _upload(bodies: Sequence[Body], device: str, *, smooth: bool = True) -> _Sta
     crease = CREASE if smooth else 0.0
     normals = np.concatenate([np.zeros((0, 3, 3)), *(corner_normals(mesh, crease) for mesh in meshes)])
     owner = np.repeat(solid, [len(mesh.faces) for mesh in meshes])
-    rgb = np.array([_linear(body.rgba[:3]) for body in bodies]).reshape(-1, 3)
+    rgb = np.array([linear(body.rgba[:3]) for body in bodies]).reshape(-1, 3)
     ghosts = [_warp_mesh(body.mesh, device) for body in ghostly]
-    ghost_rgba = np.array([(*_linear(body.rgba[:3]), body.rgba[3]) for body in ghostly]).reshape(-1, 4)
+    ghost_rgba = np.array([(*linear(body.rgba[:3]), body.rgba[3]) for body in ghostly]).reshape(-1, 4)
     points = _outer_points(bodies) if bodies else np.zeros((1, 3))
     return _Stage(
         lower=points.min(axis=0),
@@ -218,13 +218,14 @@ def _find_surfaces(stage: _Stage, view: Any, setting: Any, device: str) -> tuple
     return body, position, normal
 
 
-def _view(camera: Camera, size: tuple[int, int]) -> Any:
+def view_of(camera: Camera, size: tuple[int, int]) -> Any:
+    """The camera as the kernels take it; `size` is (w, h)."""
     if min(size) < 1:
         raise GraspmatchError(f"A picture cannot be {size[0]} x {size[1]} pixels; give a width and a height above 0.")
     width, height = size
     right, down, forward = camera.T_world_camera[:3, :3].T
     pixel = 2 * math.tan(camera.fov / 2) / height
-    view = warp_render.View()
+    view = warp_rays.View()
     view.origin = wp.vec3(*camera.T_world_camera[:3, 3])
     view.right = wp.vec3(*(pixel * right))
     view.down = wp.vec3(*(pixel * down))
@@ -238,34 +239,34 @@ def _view(camera: Camera, size: tuple[int, int]) -> Any:
     return view
 
 
-def _setting(stage: _Stage, camera: Camera, table: Plane | None) -> Any:
-    """Light from the upper left behind the camera; lengths follow the size of what is shown."""
-    centre = (stage.lower + stage.upper) / 2
-    radius = max(float(np.linalg.norm(stage.upper - stage.lower)) / 2, 1e-6)
+def setting_of(lower: Float[Array, "3"], upper: Float[Array, "3"], camera: Camera, table: Plane | None) -> Any:
+    """Light from the upper left behind the camera; lengths follow the size of the box of what is shown."""
+    centre = (lower + upper) / 2
+    radius = max(float(np.linalg.norm(upper - lower)) / 2, 1e-6)
     right, down, forward = camera.T_world_camera[:3, :3].T
     up = -down if table is None else table.normal
     back = -(forward - forward @ up * up)
     sun = -0.55 * right + 0.45 * back / max(float(np.linalg.norm(back)), 1e-9) + 0.95 * up
-    setting = warp_render.Setting()
+    setting = warp_rays.Setting()
     setting.sun = wp.vec3(*(sun / np.linalg.norm(sun)))
     setting.sun_radius = 0.12
     setting.sun_colour = wp.vec3(0.62, 0.59, 0.55)
     setting.sky_colour = wp.vec3(0.52, 0.54, 0.58)
     setting.reach = 0.9 * radius
     setting.lift = 3e-4 * radius
-    setting.top_colour = wp.vec3(*_linear((0.82, 0.845, 0.87)))
-    setting.bottom_colour = wp.vec3(*_linear((0.965, 0.97, 0.975)))
+    setting.top_colour = wp.vec3(*linear((0.82, 0.845, 0.87)))
+    setting.bottom_colour = wp.vec3(*linear((0.965, 0.97, 0.975)))
     setting.up = wp.vec3(*up)
     if table is not None:
         setting.has_floor = 1
         setting.floor_offset = table.offset
         setting.floor_centre = wp.vec3(*(centre - (centre @ up - table.offset) * up))
         setting.floor_radius = 1.9 * radius
-        setting.floor_colour = wp.vec3(*_linear((0.975, 0.965, 0.95)))
+        setting.floor_colour = wp.vec3(*linear((0.975, 0.965, 0.95)))
     return setting
 
 
-def _linear(rgb: Sequence[float]) -> tuple[float, ...]:
+def linear(rgb: Sequence[float]) -> tuple[float, ...]:
     """Linear values of sRGB ones."""
     return tuple(c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in rgb)
 

@@ -14,6 +14,7 @@ from rich.table import Table
 from graspmatch.apps.options import Simulate
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
+from graspmatch.config import LiftConfig
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import check_place
 from graspmatch.formats.registry import read_grasps
@@ -26,10 +27,10 @@ from graspmatch.gripper.zoo import card_path, known_grippers
 from graspmatch.scene.scene import Scene
 from graspmatch.simulate.convex import convex_parts
 from graspmatch.simulate.judge import PROTOCOLS, ProtocolConfig, judge, try_grasp, world_of
-from graspmatch.simulate.motion import Film
+from graspmatch.simulate.motion import Recording
 from graspmatch.simulate.rigid_body import RigidBody, rigid_body
 from graspmatch.simulate.settle import Settled, settle
-from graspmatch.types import GraspSet, SimulationReport
+from graspmatch.types import GraspSet, Plane, SimulationReport
 
 NONE_HELD = 3
 """Exit status when no grasp holds."""
@@ -54,7 +55,7 @@ def simulate_file(command: Simulate, table: float | Literal["auto"] | None, say:
     say.show(table_of_verdicts(report))
     say.show(summary_of(report))
     if (command.video or command.strip) and len(grasps):
-        _film(command, grasps, rest, hand, config, say)
+        _draw(command, grasps, rest, hand, config, say)
     if say.as_json:
         print(json.dumps(record_of_report(report), allow_nan=False))
     return 0 if report.held.any() else NONE_HELD
@@ -120,8 +121,8 @@ def _target(command: Simulate, table: float | Literal["auto"] | None, mass: floa
     convex = convex_parts(scene.mesh, folder=ready if ready.is_dir() and not scaled else None)
     down = translation(np.array([0.0, 0.0, -height]))
     parts = tuple(transformed(part, down) for part in convex.parts)
-    moved = replace(convex, parts=parts)
-    return rigid_body(command.object.stem, transformed(scene.mesh, down), moved, mass=mass), height
+    moved = transformed(scene.mesh, down)
+    return rigid_body(command.object.stem, moved, parts, bulge=convex.bulge, mass=mass), height
 
 
 def _moved(grasps: GraspSet, height: float) -> GraspSet:
@@ -142,7 +143,7 @@ def _best(grasps: GraspSet, count: int) -> GraspSet:
 
 def _at_rest(target: RigidBody, config: ProtocolConfig, say: Speech) -> Settled:
     """Where the object stands; without a table, where it is."""
-    if "lift_height" not in asdict(config):
+    if not isinstance(config, LiftConfig):
         return Settled(target, np.eye(4), 0.0, topples=False)
     rest = settle(target, config.friction)
     if rest.topples:
@@ -154,16 +155,23 @@ def _at_rest(target: RigidBody, config: ProtocolConfig, say: Speech) -> Settled:
     return rest
 
 
-def _film(
+def _draw(
     command: Simulate, grasps: GraspSet, rest: Settled, hand: HandModel, config: ProtocolConfig, say: Speech
 ) -> None:
-    from graspmatch.apps.film import write_film_strip, write_video
+    """Try the first grasp again with a recording, and draw it."""
+    from graspmatch.apps.video import film_strip, key_moments, write_video
 
-    film = Film()
-    world = world_of(rest.target, hand, config)
-    try_grasp(world, grasps, 0, rest.T_world_object, config, film)
-    for path, write in ((command.video, write_video), (command.strip, write_film_strip)):
-        if path is not None:
-            with say.progress(f"Drawing {path.name}"):
-                write(path, hand.links, rest.target.mesh, film)
-            say.show(f"Wrote {path}")
+    shots = Recording()
+    try_grasp(world_of(rest.target, hand, config), grasps, 0, rest.T_world_object, config, shots)
+    captions = [f"{phase}, {time:.1f} s" for phase, time in zip(shots.phases, shots.times, strict=True)]
+    poses = (np.stack(shots.T_world_link), np.stack(shots.T_world_object))
+    table = Plane(np.array([0.0, 0.0, 1.0]), 0.0) if isinstance(config, LiftConfig) else None
+    if command.video is not None:
+        with say.progress(f"Drawing {command.video.name}"):
+            rate = shots.frames_per_second
+            write_video(command.video, hand.links, rest.target.mesh, *poses, captions, fps=rate, table=table)
+        say.show(f"Wrote {command.video}")
+    if command.strip is not None:
+        moments = key_moments(shots.phases)
+        film_strip(command.strip, hand.links, rest.target.mesh, *poses, captions, moments=moments, table=table)
+        say.show(f"Wrote {command.strip}")

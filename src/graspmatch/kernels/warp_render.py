@@ -1,106 +1,32 @@
 """A small ray tracer: primary rays, light gathered at the hits, shading with an edge-aware average of that light.
 
-Four samples a pixel, on a rotated grid. Each sample casts a few rays only: 64 patterns of ray directions repeat over
-tiles of 8 x 8 samples, and shading averages the light over such a tile, on the same surface. So the average holds every
-pattern once and there is no noise to see. All positions are in the world frame, lengths in metres, colours linear.
+Four samples a pixel, on a rotated grid, each of which casts a few rays (see `warp_rays`).
 Elements of a launch are samples (of `shade`: pixels), row by row. Rows are visited in strides of `row_stride`, coprime
 to their number, so that equal shares of a launch cost about the same: the sky on top is cheap, the hand is not.
 """
 
 import warp as wp
 
+from graspmatch.kernels.warp_rays import (
+    BACKGROUND,
+    FAR,
+    FLOOR,
+    TILE,
+    Setting,
+    View,
+    floor_distance,
+    light_at,
+    pattern_rank,
+    place,
+    ray_direction,
+    seen_along,
+    smoothstep,
+)
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-BACKGROUND = wp.constant(-1)
-FLOOR = wp.constant(-2)
-SKY_RAYS = wp.constant(2)
-TILE = wp.constant(8)
-FAR = wp.constant(1.0e6)
-GOLDEN = wp.constant(0.61803398875)
 GHOST_LAYERS = wp.constant(4)
-
-
-@wp.struct
-class View:
-    """A pinhole camera; the ray through pixel coordinates (x, y) is corner + x * right + y * down."""
-
-    origin: wp.vec3
-    corner: wp.vec3
-    right: wp.vec3
-    down: wp.vec3
-    width: int
-    height: int
-    row_stride: int
-
-
-@wp.struct
-class Setting:
-    """Light and surroundings, scaled to what is shown."""
-
-    sun: wp.vec3  # towards the light
-    sun_radius: float  # tangent of the half angle of the light: how soft shadows are
-    sun_colour: wp.vec3
-    sky_colour: wp.vec3
-    reach: float  # how far occluders of the sky matter
-    lift: float  # how far rays start from their surface
-    top_colour: wp.vec3  # of the background
-    bottom_colour: wp.vec3
-    has_floor: int
-    up: wp.vec3
-    floor_offset: float
-    floor_centre: wp.vec3
-    floor_radius: float  # where the floor has half faded into the background
-    floor_colour: wp.vec3
-
-
-@wp.func
-def place(element: int, columns: int, rows: int, stride: int) -> wp.vec2i:
-    """Column and row of an element of a launch."""
-    return wp.vec2i(element % columns, (element // columns) * stride % rows)
-
-
-@wp.func
-def ray_direction(view: View, sample_x: int, sample_y: int) -> wp.vec3:
-    """Of one of the 2 x 2 samples of a pixel: rotated by 27 degrees, so that steep edges have four levels too."""
-    quarter_x = float(sample_x % 2)
-    quarter_y = float(sample_y % 2)
-    x = float(sample_x // 2) + 0.375 + 0.5 * quarter_x - 0.25 * quarter_y
-    y = float(sample_y // 2) + 0.125 + 0.5 * quarter_y + 0.25 * quarter_x
-    return wp.normalize(view.corner + x * view.right + y * view.down)
-
-
-@wp.func
-def pattern_rank(sample_x: int, sample_y: int) -> int:
-    """Place of a sample in its tile as a Bayer matrix orders them: near samples get patterns far apart."""
-    rank = int(0)
-    for bit in range(3):
-        x = (sample_x >> bit) & 1
-        y = (sample_y >> bit) & 1
-        rank = rank * 4 + (x ^ y) * 2 + y
-    return rank
-
-
-@wp.func
-def perpendicular(n: wp.vec3) -> wp.vec3:
-    if wp.abs(n[2]) < 0.7:
-        return wp.normalize(wp.cross(n, wp.vec3(0.0, 0.0, 1.0)))
-    return wp.normalize(wp.cross(n, wp.vec3(1.0, 0.0, 0.0)))
-
-
-@wp.func
-def towards_tangent_plane(p: wp.vec3, corner: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    return p - wp.min(wp.dot(p - corner, normal), 0.0) * normal
-
-
-@wp.func
-def fraction(x: float) -> float:
-    return x - wp.floor(x)
-
-
-@wp.func
-def smoothstep(low: float, high: float, x: float) -> float:
-    t = wp.clamp((x - low) / (high - low), 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
+OPEN_SKY = wp.constant(0.8 + 0.2 * 2.0 / 3.0)  # what the floor's cosine-weighted rays find with nothing in the way
 
 
 @wp.kernel
@@ -123,37 +49,16 @@ def find_surfaces(
     body = BACKGROUND
     position = wp.vec3()
     normal = wp.vec3()
-    t = FAR
-    facing = wp.dot(d, setting.up)
-    if setting.has_floor == 1 and facing < -1.0e-6:
-        s = (setting.floor_offset - wp.dot(view.origin, setting.up)) / facing
-        if s > 0.0:
-            t = s
-            body = FLOOR
-            normal = setting.up
-            position = view.origin + s * d + setting.lift * normal
-    hit = wp.mesh_query_ray(mesh, view.origin, d, t)
-    if hit.result:
-        body = face_body[hit.face]
-        w = 1.0 - hit.u - hit.v
-        n0 = corner_normals[hit.face, 0]
-        n1 = corner_normals[hit.face, 1]
-        n2 = corner_normals[hit.face, 2]
-        normal = wp.normalize(hit.u * n0 + hit.v * n1 + w * n2)
-        # Start light rays from the smooth surface that the normals pretend, so that flat facets cast no shadow on
-        # themselves where the light grazes (Hanika 2021).
-        p = view.origin + hit.t * d
-        g = hit.normal
-        p0 = towards_tangent_plane(p, wp.mesh_get_point(mesh, 3 * hit.face), n0)
-        p1 = towards_tangent_plane(p, wp.mesh_get_point(mesh, 3 * hit.face + 1), n1)
-        p2 = towards_tangent_plane(p, wp.mesh_get_point(mesh, 3 * hit.face + 2), n2)
-        if wp.dot(g, d) > 0.0:  # the back of an open scan
-            g = -g
-            normal = -normal
-            position = p
-        else:
-            position = hit.u * p0 + hit.v * p1 + w * p2
-        position = position + setting.lift * g
+    t = floor_distance(d, view, setting)
+    if t < FAR:
+        body = FLOOR
+        normal = setting.up
+        position = view.origin + t * d + setting.lift * normal
+    seen = seen_along(d, t, mesh, face_body, corner_normals, view, setting)
+    if seen.body >= 0:
+        body = seen.body
+        position = seen.position
+        normal = seen.normal
     body_out[y, x] = body
     position_out[y, x] = position
     normal_out[y, x] = normal
@@ -170,68 +75,38 @@ def gather_light(
     normal_in: wp.array2d(dtype=wp.vec3),
     light_out: wp.array2d(dtype=wp.vec2),
 ):
-    """Light that this sample's few rays find: visible share of the sun, and brightness of the sky."""
+    """Light that this sample's few rays find."""
     at = place(wp.tid() + first, body_in.shape[1], body_in.shape[0], view.row_stride)
     x = at[0]
     y = at[1]
     if body_in[y, x] == BACKGROUND:
         return
-    p = position_in[y, x]
-    n = normal_in[y, x]
-    rank = pattern_rank(x, y)
-
-    sun = float(0.0)
-    if wp.dot(n, setting.sun) > 0.0:
-        radius = setting.sun_radius * wp.sqrt((float(rank) + 0.5) / float(TILE * TILE))
-        angle = 2.0 * wp.pi * fraction(float(rank) * GOLDEN)
-        a = perpendicular(setting.sun)
-        b = wp.cross(setting.sun, a)
-        d = wp.normalize(setting.sun + radius * (wp.cos(angle) * a + wp.sin(angle) * b))
-        if not wp.mesh_query_ray_anyhit(mesh, p, d, FAR):
-            sun = 1.0
-
-    sky = float(0.0)
-    a = perpendicular(n)
-    b = wp.cross(n, a)
-    for k in range(SKY_RAYS):
-        index = float(rank * SKY_RAYS + k)
-        u = (index + 0.5) / float(TILE * TILE * SKY_RAYS)
-        angle = 2.0 * wp.pi * fraction(index * GOLDEN)
-        r = wp.sqrt(u)
-        d = r * wp.cos(angle) * a + r * wp.sin(angle) * b + wp.sqrt(1.0 - u) * n
-        if not wp.mesh_query_ray_anyhit(mesh, p, d, setting.reach):
-            height = wp.dot(d, setting.up)
-            brightness = 0.8 + 0.2 * height
-            if height < 0.0 and setting.has_floor == 1:
-                # Light that the floor sends back; near contact the floor itself lies in the shade.
-                s = (setting.floor_offset - wp.dot(p, setting.up)) / height
-                brightness = 0.6 * smoothstep(0.0, 0.5 * setting.reach, wp.max(s, 0.0)) + 0.08
-            elif height < 0.0:
-                brightness = 0.8 + 0.5 * height
-            sky += brightness
-    light_out[y, x] = wp.vec2(sun, sky / float(SKY_RAYS))
+    light_out[y, x] = light_at(mesh, position_in[y, x], normal_in[y, x], pattern_rank(x, y), setting)
 
 
 @wp.func
 def average_light(
     x: int,
     y: int,
+    spacing: int,
     lift: float,
     body_in: wp.array2d(dtype=int),
     position_in: wp.array2d(dtype=wp.vec3),
     normal_in: wp.array2d(dtype=wp.vec3),
     light_in: wp.array2d(dtype=wp.vec2),
 ) -> wp.vec2:
-    """Mean over the tile around the sample's pixel, of samples on the same body, in the same plane."""
+    """Mean over the tile around the sample's pixel, of samples on the same body, in the same plane; only every
+    `spacing`-th sample (1 or 2) has gathered light."""
     body = body_in[y, x]
     p = position_in[y, x]
     n = normal_in[y, x]
-    left = x - x % 2 - TILE // 2 + 1
-    top = y - y % 2 - TILE // 2 + 1
+    left = x - x % 2 + 2 - spacing - TILE // 2 * spacing
+    top = y - y % 2 + 2 - spacing - TILE // 2 * spacing
     total = wp.vec2()
     count = float(0.0)
-    for j in range(wp.max(top, 0), wp.min(top + TILE, body_in.shape[0])):
-        for i in range(wp.max(left, 0), wp.min(left + TILE, body_in.shape[1])):
+    # Even bounds keep the lattice of every second sample.
+    for j in range(wp.max(top, 0), wp.min(top + spacing * TILE, body_in.shape[0]), spacing):
+        for i in range(wp.max(left, 0), wp.min(left + spacing * TILE, body_in.shape[1]), spacing):
             if body_in[j, i] == body:
                 step = position_in[j, i] - p
                 # Slope against the tangent plane; the lift keeps rounding from mattering at small steps.
@@ -257,9 +132,8 @@ def reflected(albedo: wp.vec3, n: wp.vec3, d: wp.vec3, sun: float, sky: float, s
 def floor_radiance(p: wp.vec3, sun: float, sky: float, behind: wp.vec3, setting: Setting) -> wp.vec3:
     """The floor's colour, darkened by the share of light that is kept from it, fading into the background."""
     facing = wp.dot(setting.up, setting.sun)
-    open_sky = 0.8 + 0.2 * 2.0 / 3.0  # what the cosine-weighted rays of `gather_light` find with nothing in the way
     lit = facing * sun * setting.sun_colour + sky * setting.sky_colour
-    unshaded = facing * setting.sun_colour + open_sky * setting.sky_colour
+    unshaded = facing * setting.sun_colour + OPEN_SKY * setting.sky_colour
     colour = wp.cw_mul(setting.floor_colour, wp.cw_div(lit, unshaded))
     distance = wp.length(p - setting.floor_centre) / setting.floor_radius
     return wp.lerp(colour, behind, smoothstep(0.45, 1.55, distance))
@@ -341,7 +215,7 @@ def shade(
         if body != BACKGROUND:
             # The samples of a pixel share one tile: on one surface they also share its average.
             if not same_surface(body, n, p - light_position, light_body, light_normal, setting.lift):
-                light = average_light(x, y, setting.lift, body_in, position_in, normal_in, light_in)
+                light = average_light(x, y, 1, setting.lift, body_in, position_in, normal_in, light_in)
                 light_body = body
                 light_normal = n
                 light_position = p

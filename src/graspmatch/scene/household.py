@@ -14,6 +14,8 @@ from graspmatch.scene.shapes import Solid, convex, extruded, joined, moved, mug_
 Array = np.ndarray
 
 X, Y, Z = np.eye(3)
+BULGE = 0.0016
+"""How far the convex parts of an object reach beyond its mesh, at most [m]."""
 FINE = 96
 """Segments around things that are wide."""
 

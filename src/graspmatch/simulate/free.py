@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from graspmatch.config import ForceClosureConfig, TugConfig
 from graspmatch.simulate.contacts import touch
-from graspmatch.simulate.motion import Film, Run
+from graspmatch.simulate.motion import Recording, Run
 from graspmatch.simulate.verdict import Verdict, in_hand, verdict_of
 from graspmatch.simulate.world import Physics, World, place
 
@@ -43,10 +43,10 @@ def force_closure(
     pregrasp_joints: Float[Array, "d"],
     T_world_object: Float[Array, "4 4"],
     config: ForceClosureConfig,
-    film: Film | None = None,
+    recording: Recording | None = None,
 ) -> Verdict:
     """Try one grasp by protocol `fc6`."""
-    run = Run(world, place(world, T_world_gripper, T_world_object, pregrasp_joints), film)
+    run = Run(world, place(world, T_world_gripper, T_world_object, pregrasp_joints), recording)
     depth = touch(world, run.data).depth
     if depth > config.deepest_start:
         return verdict_of(run, "the hand begins inside the object")
@@ -82,10 +82,10 @@ def tug(
     pregrasp_joints: Float[Array, "d"],
     T_world_object: Float[Array, "4 4"],
     config: TugConfig,
-    film: Film | None = None,
+    recording: Recording | None = None,
 ) -> Verdict:
     """Try one grasp by protocol `tug`."""
-    run = Run(world, place(world, T_world_gripper, T_world_object, pregrasp_joints), film)
+    run = Run(world, place(world, T_world_gripper, T_world_object, pregrasp_joints), recording)
     run.phase = "close"
     for _ in run.close(config.closing_seconds, squeeze=0.0):
         pass

@@ -32,8 +32,6 @@ FOLLOWER_SHARE = 0.1
 """Of a drive's inertia, for the joints that follow it."""
 STIFF_SOLREF, STIFF_SOLIMP = (0.004, 1.0), (0.99, 0.999, 1e-4, 0.5, 2.0)
 """Of gears, couplings and end stops."""
-STALL = 4.0
-"""A drive stalls at its rated force when slowed down by the share 1/STALL of its speed."""
 
 
 def add_hand(spec: mujoco.MjSpec, hand: HandModel) -> None:
@@ -144,7 +142,7 @@ def _add_couplings(spec: mujoco.MjSpec, hand: HandModel) -> None:
 
 
 def _add_drives(spec: mujoco.MjSpec, hand: HandModel) -> None:
-    """A velocity servo of limited force at each driven joint; its gain depends on the speed and is set in `close`."""
+    """A motor at each driven joint that closes."""
     forces = drive_forces(hand)
     for name, force in zip(hand.joint_names, forces, strict=True):
         joint = next(j for j in spec.joints if j.name == PREFIX + name)
@@ -152,5 +150,4 @@ def _add_drives(spec: mujoco.MjSpec, hand: HandModel) -> None:
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         if force > 0:
             drive = spec.add_actuator(name=PREFIX + name, target=PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            drive.set_to_velocity(kv=1.0)
-            drive.forcelimited, drive.forcerange = True, (-force, force)
+            drive.set_to_motor()

@@ -17,7 +17,7 @@ from graspmatch.errors import GraspmatchError
 from graspmatch.gripper.kinematics import HandModel
 from graspmatch.simulate.free import force_closure, force_closure_physics, tug, tug_physics
 from graspmatch.simulate.lift import lift, lift_physics
-from graspmatch.simulate.motion import Film
+from graspmatch.simulate.motion import Recording
 from graspmatch.simulate.rigid_body import RigidBody
 from graspmatch.simulate.verdict import Verdict
 from graspmatch.simulate.world import World, build_world
@@ -49,14 +49,14 @@ def try_grasp(
     index: int,
     T_world_object: Float[Array, "4 4"],
     config: ProtocolConfig,
-    film: Film | None = None,
+    recording: Recording | None = None,
 ) -> Verdict:
     """The verdict on one grasp of a set, for an object at rest at a pose."""
     joints, T_world_gripper = grasps.pregrasp_joints[index], grasps.T_world_gripper[index]
     if isinstance(config, LiftConfig):
-        return lift(world, grasps.T_world_pregrasp[index], T_world_gripper, joints, T_world_object, config, film)
+        return lift(world, grasps.T_world_pregrasp[index], T_world_gripper, joints, T_world_object, config, recording)
     protocol = force_closure if isinstance(config, ForceClosureConfig) else tug
-    return protocol(world, T_world_gripper, joints, T_world_object, config, film)
+    return protocol(world, T_world_gripper, joints, T_world_object, config, recording)
 
 
 def judge(

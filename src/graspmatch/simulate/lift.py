@@ -11,7 +11,7 @@ from jaxtyping import Float
 from graspmatch.config import LiftConfig
 from graspmatch.geometry.se3 import apply
 from graspmatch.simulate.contacts import Touch, touch
-from graspmatch.simulate.motion import Film, Run
+from graspmatch.simulate.motion import Recording, Run
 from graspmatch.simulate.verdict import Verdict, in_hand, motion_in_hand, verdict_of
 from graspmatch.simulate.world import Physics, World, gripper_pose, object_pose, place
 
@@ -35,12 +35,12 @@ def lift(
     pregrasp_joints: Float[Array, "d"],
     T_world_object: Float[Array, "4 4"],
     config: LiftConfig,
-    film: Film | None = None,
+    recording: Recording | None = None,
 ) -> Verdict:
     """Try one grasp of an object that rests on the table z = 0."""
     start = T_world_gripper.copy()
     start[:3, 3] = T_world_pregrasp[:3, 3]
-    run = Run(world, place(world, start, T_world_object, pregrasp_joints), film)
+    run = Run(world, place(world, start, T_world_object, pregrasp_joints), recording)
     trouble, push, depth = _approach(run, T_world_gripper, T_world_object, config)
     if trouble:
         return verdict_of(run, trouble, push=push, depth=depth)

@@ -9,19 +9,21 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.simulate.hand import STALL
 from graspmatch.simulate.world import World, body_pose, object_pose
 
 Array = np.ndarray
 
 PLAY = {int(mujoco.mjtJoint.mjJNT_SLIDE): 1e-5, int(mujoco.mjtJoint.mjJNT_HINGE): 1e-4}
 """Of a joint that is held in place [m, rad]."""
+BACKLASH = {int(mujoco.mjtJoint.mjJNT_SLIDE): 5e-4, int(mujoco.mjtJoint.mjJNT_HINGE): 1e-2}
+"""How far a self-locking drive gives way before it locks [m, rad]: more than a finger rebounds when it lands, or the
+blow would stay locked in as a squeeze far above the rated force."""
 AT_REST = 0.02
 """A drive that is slower than this share of its speed has stopped."""
 
 
 @dataclass(eq=False)
-class Film:
+class Recording:
     """The poses of a run, frame by frame."""
 
     frames_per_second: int = 25
@@ -48,7 +50,7 @@ class Run:
 
     world: World
     data: mujoco.MjData
-    film: Film | None = None
+    recording: Recording | None = None
     phase: str = "approach"
     base: Float[Array, "3"] = field(default_factory=lambda: np.zeros(3))
     """Where the base shall be, from where it was placed [m]."""
@@ -63,8 +65,8 @@ class Run:
         mujoco.mj_step(self.world.model, self.data)
         if self.world.hand.card.self_locking:
             self._advance_ratchets()
-        if self.film is not None:
-            self.film.take(self.world, self.data, self.phase)
+        if self.recording is not None:
+            self.recording.take(self.world, self.data, self.phase)
 
     def wait(self, seconds: float) -> Iterator[None]:
         """Stay and go on squeezing."""
@@ -109,7 +111,8 @@ class Run:
         for joint, qpos in zip(world.drive_joint, world.drive_qpos, strict=True):
             play = PLAY[int(world.model.jnt_type[joint])]
             world.model.jnt_range[joint] = data.qpos[qpos] - play, data.qpos[qpos] + play
-        data.ctrl[world.drive_servo[world.drive_servo >= 0]] = 0
+        data.ctrl[world.drive_motor[world.drive_motor >= 0]] = 0
+        world.model.dof_damping[world.drive_dof] = 0
         self.speed = np.zeros(len(world.drive_joint))
 
     def _release_fingers(self, seconds: float) -> None:
@@ -120,16 +123,15 @@ class Run:
             held = self.data.qpos[world.drive_qpos[i]]
             back = held if card.self_locking else world.drive_range[i, 0 if self.speed[i] > 0 else 1]
             world.model.jnt_range[world.drive_joint[i]] = sorted((back, card.closed_joints[i]))
-            gain, servo = STALL * world.drive_force[i] / abs(self.speed[i]), world.drive_servo[i]
-            world.model.actuator_gainprm[servo, 0], world.model.actuator_biasprm[servo, 2] = gain, -gain
-            self.data.ctrl[servo] = self.speed[i]
+            # The line of a motor: the rated force at rest, none at full speed.
+            world.model.dof_damping[world.drive_dof[i]] = world.drive_force[i] / abs(self.speed[i])
+            self.data.ctrl[world.drive_motor[i]] = np.sign(self.speed[i]) * world.drive_force[i]
 
     def _advance_ratchets(self) -> None:
-        """What cannot be pushed back keeps what it has closed."""
-        limits = self.world.model.jnt_range
+        """What cannot be pushed back keeps what it has closed, but for the backlash."""
+        model = self.world.model
         for i in np.flatnonzero(self.speed):
-            joint, reached = self.world.drive_joint[i], self.data.qpos[self.world.drive_qpos[i]]
-            if self.speed[i] > 0:
-                limits[joint, 0] = max(limits[joint, 0], min(reached, limits[joint, 1]))
-            else:
-                limits[joint, 1] = min(limits[joint, 1], max(reached, limits[joint, 0]))
+            joint, sign = self.world.drive_joint[i], np.sign(self.speed[i])
+            locked = self.data.qpos[self.world.drive_qpos[i]] - sign * BACKLASH[int(model.jnt_type[joint])]
+            side = 0 if sign > 0 else 1
+            model.jnt_range[joint, side] = sign * max(sign * model.jnt_range[joint, side], sign * locked)

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from graspmatch.errors import GraspmatchError
 from graspmatch.geometry.mesh import TriangleMesh, concatenate
-from graspmatch.simulate.convex import ConvexParts
 
 Array = np.ndarray
 
@@ -38,7 +37,9 @@ class RigidBody:
     """About the centre of mass [kg m2]."""
 
 
-def rigid_body(name: str, mesh: TriangleMesh, convex: ConvexParts, *, mass: float | None = None) -> RigidBody:
+def rigid_body(
+    name: str, mesh: TriangleMesh, parts: tuple[TriangleMesh, ...], *, bulge: float, mass: float | None = None
+) -> RigidBody:
     """The object with a given mass [kg], or else of 300 kg/m3 but at least 50 g and at most 500 g.
 
     Volume and inertia are those of the mesh where it is closed, else of the convex parts.
@@ -47,7 +48,7 @@ def rigid_body(name: str, mesh: TriangleMesh, convex: ConvexParts, *, mass: floa
 
     closed = trimesh.Trimesh(mesh.vertices, mesh.faces)
     if not (closed.is_watertight and closed.is_winding_consistent and closed.volume > 0):
-        union = concatenate(list(convex.parts))  # CoACD's parts do not overlap
+        union = concatenate(list(parts))  # a decomposition's parts hardly overlap
         closed = trimesh.Trimesh(union.vertices, union.faces, process=False)
     volume = float(closed.volume)
     if not volume > 0:
@@ -58,8 +59,8 @@ def rigid_body(name: str, mesh: TriangleMesh, convex: ConvexParts, *, mass: floa
     return RigidBody(
         name=name,
         mesh=mesh,
-        parts=convex.parts,
-        bulge=convex.bulge,
+        parts=parts,
+        bulge=bulge,
         mass=mass,
         centre_of_mass=np.asarray(closed.center_mass, dtype=float),
         inertia=np.asarray(closed.moment_inertia, dtype=float) * mass / volume,

@@ -55,7 +55,7 @@ def verdict_of(
     depth = max(depth, 0.0 if touched is None else touched.depth, touch(run.world, run.data).depth)
     warned = any(warning.number for warning in run.data.warning)
     finite = np.isfinite(run.data.qpos).all() and np.isfinite([slip, turn]).all()
-    if warned or not finite or depth > DEEPEST:
+    if warned or not finite or (depth > DEEPEST and not reason):
         reason = "unstable simulation"
     fingers = 0 if touched is None else len(touched.fingers)
     return Verdict(not reason, reason, slip, turn, push, depth, fingers)

@@ -57,7 +57,7 @@ class World:
     drive_joint: Int[Array, "d"]
     drive_qpos: Int[Array, "d"]
     drive_dof: Int[Array, "d"]
-    drive_servo: Int[Array, "d"]
+    drive_motor: Int[Array, "d"]
     """-1 where a joint only spreads."""
     drive_force: Float[Array, "d"]
     drive_range: Float[Array, "d 2"]
@@ -135,7 +135,7 @@ def build_world(target: RigidBody, hand: HandModel, physics: Physics) -> World:
     add_hand(spec, hand)
     model = compile_spec(spec, physics)
     drives = [model.joint(PREFIX + name).id for name in hand.joint_names]
-    servos = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, PREFIX + name) for name in hand.joint_names]
+    motors = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, PREFIX + name) for name in hand.joint_names]
     base = [model.joint(name).id for name in BASE_AXES]
     base_servo = np.array([model.actuator(name).id for name in BASE_AXES])
     own = hand.description.model
@@ -154,7 +154,7 @@ def build_world(target: RigidBody, hand: HandModel, physics: Physics) -> World:
         drive_joint=np.array(drives),
         drive_qpos=model.jnt_qposadr[drives],
         drive_dof=model.jnt_dofadr[drives],
-        drive_servo=np.array(servos),
+        drive_motor=np.array(motors),
         drive_force=drive_forces(hand),
         drive_range=model.jnt_range[drives].copy(),
         joint_qpos=np.array([model.joint(PREFIX + name).qposadr[0] for name in names]),

@@ -23,17 +23,18 @@ class ObjectSource:
 
     def load(self, *, mass: float | None = None) -> RigidBody:
         """The object as physics sees it; the first time, its convex parts are computed."""
-        from graspmatch.simulate.convex import ConvexSolid, convex_parts
+        from graspmatch.simulate.convex import convex_parts
         from graspmatch.simulate.rigid_body import rigid_body
 
         if self.mesh is None:
-            from graspmatch.scene.household import OBJECTS
+            from graspmatch.scene.household import BULGE, OBJECTS
 
             made = OBJECTS[self.name]()
-            return rigid_body(self.name, made.mesh, ConvexSolid(made.parts, 0.0), mass=mass)
+            return rigid_body(self.name, made.mesh, made.parts, bulge=BULGE, mass=mass)
         mesh = read_mesh(self.mesh)
         ready = self.mesh.parent / "convex"
-        return rigid_body(self.name, mesh, convex_parts(mesh, folder=ready if ready.is_dir() else None), mass=mass)
+        convex = convex_parts(mesh, folder=ready if ready.is_dir() else None)
+        return rigid_body(self.name, mesh, convex.parts, bulge=convex.bulge, mass=mass)
 
 
 def household_sources() -> list[ObjectSource]:

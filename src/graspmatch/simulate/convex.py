@@ -1,0 +1,142 @@
+"""The convex parts of a mesh, which physics can handle, and how faithful they are; made once, cached by content."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from dataclasses import astuple, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from graspmatch.geometry.mesh import TriangleMesh
+from graspmatch.gripper.cache import cache_folder
+from graspmatch.scene.read import read_mesh
+from graspmatch.scene.surface import clean_mesh
+from graspmatch.simulate import decompose as decomposing
+from graspmatch.simulate.decompose import convex_hull, decompose
+from graspmatch.simulate.fidelity import Fidelity, fidelity
+from graspmatch.simulate.mend import closed_bodies
+from graspmatch.types import GraspmatchError
+
+Array = np.ndarray
+
+CONVEX_VERSION = 1
+"""Raised whenever the same mesh gives other parts or other figures."""
+
+
+@dataclass(frozen=True)
+class ConvexParts:
+    """An object as convex parts, in the frame of its mesh."""
+
+    parts: tuple[TriangleMesh, ...]
+    """Each convex, closed, faces outward."""
+    fidelity: Fidelity
+
+    @property
+    def bulge(self) -> float:
+        """How far the parts reach beyond the mesh [m], at 95 % of their exposed surface."""
+        return self.fidelity.bulge
+
+    def describe(self) -> str:
+        """One line for a person."""
+        f = self.fidelity
+        return (
+            f"{len(self.parts)} convex part{'s' * (len(self.parts) != 1)}; beyond the mesh by {1000 * f.bulge:.1f} mm "
+            f"(95 %), {1000 * f.largest_bulge:.1f} mm at most; short of it by {1000 * f.largest_gap:.1f} mm at most"
+        )
+
+
+def convex_parts(mesh: TriangleMesh, *, folder: Path | None = None) -> ConvexParts:
+    """The parts that the STL files of a folder hold, else those found by decomposing the mesh.
+
+    The first call for a mesh takes up to a minute, later ones read the cache. Raises `GraspmatchError` for a mesh
+    without faces or volume, and for a folder that holds no readable parts.
+    """
+    mesh, _, _ = clean_mesh(mesh, "the mesh")
+    given = None if folder is None else read_parts(folder)
+    key = _cache_key(mesh, given)
+    cached = _read(key)
+    if cached is not None:
+        return cached
+    bodies, is_open = closed_bodies(mesh)
+    parts = decompose(bodies) if given is None else given
+    result = ConvexParts(parts, fidelity(mesh, parts, is_open=is_open))
+    _write(key, result)
+    return result
+
+
+def read_parts(folder: Path) -> tuple[TriangleMesh, ...]:
+    """The hulls of the STL files of a folder, in the order of their names."""
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() == ".stl")
+    if not files:
+        found = "holds no STL file" if folder.is_dir() else "is no folder"
+        raise GraspmatchError(f"{folder} {found}: convex parts are read from a folder of STL files, one part each.")
+    hulls = [convex_hull(read_mesh(path).vertices) for path in files]
+    flat = [path.name for path, hull in zip(files, hulls, strict=True) if hull is None]
+    if flat:
+        raise GraspmatchError(f"{', '.join(flat)} in {folder} enclose no volume: a convex part is a solid.")
+    return tuple(hull for hull in hulls if hull is not None)
+
+
+def _cache_key(mesh: TriangleMesh, given: tuple[TriangleMesh, ...] | None) -> str:
+    """Content of the mesh and of the given parts, or of all that decides how parts are found."""
+    digest = hashlib.sha256()
+    for part in (mesh, *(given or ())):
+        digest.update(f"{len(part.vertices)} {len(part.faces)};".encode())
+        digest.update(np.ascontiguousarray(part.vertices, dtype=np.float64).data)
+        digest.update(np.ascontiguousarray(part.faces, dtype=np.int64).data)
+    knobs = sorted((name, value) for name, value in vars(decomposing).items() if name.isupper())
+    digest.update(f"{CONVEX_VERSION} {version('graspmatch')} {version('coacd')} {knobs}".encode())
+    return f"convex-{digest.hexdigest()[:20]}"
+
+
+def _read(key: str) -> ConvexParts | None:
+    """The parts stored under a key; None where there are none or the file is damaged."""
+    try:
+        with np.load(cache_folder() / f"{key}.npz", allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        if bytes(arrays.pop("digest")) != _digest(arrays):
+            return None
+        vertices = np.split(arrays["vertices"], np.cumsum(arrays["vertex_counts"])[:-1])
+        faces = np.split(arrays["faces"], np.cumsum(arrays["face_counts"])[:-1])
+        parts = tuple(TriangleMesh(v, f) for v, f in zip(vertices, faces, strict=True))
+        return ConvexParts(parts, Fidelity(*arrays["fidelity"].tolist()))
+    except FileNotFoundError:
+        return None
+    except Exception:  # what a damaged archive raises has no end; it reads like none: the mesh is decomposed again
+        return None
+
+
+def _write(key: str, convex: ConvexParts) -> None:
+    """Store the parts. A folder that cannot be written costs the next call its time, not this one its result."""
+    arrays = {
+        "vertices": np.concatenate([part.vertices for part in convex.parts]),
+        "faces": np.concatenate([part.faces for part in convex.parts]),
+        "vertex_counts": np.array([len(part.vertices) for part in convex.parts]),
+        "face_counts": np.array([len(part.faces) for part in convex.parts]),
+        "fidelity": np.array(astuple(convex.fidelity)),
+    }
+    arrays["digest"] = np.frombuffer(_digest(arrays), dtype=np.uint8)
+    try:
+        cache_folder().mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(suffix=".npz", dir=cache_folder())
+    except OSError:
+        return
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+        os.replace(name, cache_folder() / f"{key}.npz")
+    except OSError:
+        Path(name).unlink(missing_ok=True)
+
+
+def _digest(arrays: dict[str, Array]) -> bytes:
+    """SHA-256 over names, shapes and bytes."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(f"{name} {arrays[name].dtype.str} {arrays[name].shape};".encode())
+        digest.update(np.ascontiguousarray(arrays[name]).data)
+    return digest.digest()

@@ -2,6 +2,7 @@
 VENV := .venv
 INSTALLED := $(VENV)/.installed
 SHELL := /bin/bash
+EXTRAS ?= dev
 
 .PHONY: demo test check bench venv
 .DEFAULT_GOAL := demo
@@ -27,7 +28,7 @@ $(INSTALLED): pyproject.toml
 	@if command -v uv >/dev/null; then \
 	    echo "Setting up $(VENV) with uv"; \
 	    { test -x $(VENV)/bin/python || uv venv --quiet --python '>=3.11' $(VENV); } && \
-	    uv pip install --quiet --python $(VENV)/bin/python --editable '.[dev]'; \
+	    uv pip install --quiet --python $(VENV)/bin/python --editable '.[$(EXTRAS)]'; \
 	else \
 	    $(MAKE) --no-print-directory venv-without-uv; \
 	fi
@@ -42,4 +43,4 @@ venv-without-uv:
 	echo "Setting up $(VENV) with $$($$python --version)"; \
 	{ test -x $(VENV)/bin/python || $$python -m venv $(VENV) || \
 	  { rm -rf $(VENV); echo "$$python cannot make a virtual environment: install its venv module, or uv." >&2; exit 1; }; } && \
-	$(VENV)/bin/python -m pip install -qq --disable-pip-version-check --editable '.[dev]'
+	$(VENV)/bin/python -m pip install -qq --disable-pip-version-check --editable '.[$(EXTRAS)]'

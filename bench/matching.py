@@ -15,6 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from graspmatch.apps.bench.machine import machine
 from graspmatch.config import MatchingConfig, RankingConfig, SeedingConfig
 from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.candidates import Matched
@@ -24,7 +25,7 @@ from graspmatch.planner.seed import seed_poses
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper
-from setting import PAPER_OBJECTS, RESULTS, machine, scenes
+from setting import PAPER_OBJECTS, RESULTS, scenes
 
 VARIANTS = {
     "icp": MatchingConfig(method="icp"),

@@ -11,12 +11,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from graspmatch.apps.bench.machine import machine
 from graspmatch.config import PlannerConfig
 from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.plan import plan
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper
-from setting import PAPER_OBJECTS, RESULTS, machine, scenes
+from setting import PAPER_OBJECTS, RESULTS, scenes
 
 TARGET_MS = {"franka_hand": 1000.0}
 """Of the median over all objects, on two cores."""

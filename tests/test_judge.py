@@ -200,18 +200,23 @@ def transformed_body(target, rotation: np.ndarray, bump: float = 0.0):  # noqa: 
 
 
 @pytest.mark.parametrize("name", HANDS)
-def test_protocols_without_gravity_pass_a_good_pinch_and_know_a_miss(name: str) -> None:
-    model = hand(name)
+def test_six_pushes_are_held_by_a_good_pinch_and_not_tried_on_a_miss(name: str) -> None:
+    model, config = hand(name), ForceClosureConfig()
+    world = build_world(cube(config.mass), model, force_closure_physics(config))
     T = from_above(model, (0, 0, 0.025))
-    for kind, physics, protocol in (
-        (ForceClosureConfig, force_closure_physics, force_closure),
-        (TugConfig, tug_physics, tug),
-    ):
-        good = kind()
-        assert protocol(build_world(cube(good.mass), model, physics(good)), T, half_open(model), np.eye(4), good).held
-        away = translation(np.array([0.0, 0.0, 0.4])) @ T
-        missed = protocol(build_world(cube(good.mass), model, physics(good)), away, half_open(model), np.eye(4), good)
-        assert missed.reason == "missed"
+    away = translation(np.array([0.0, 0.0, 0.4])) @ T
+    assert force_closure(world, T, half_open(model), np.eye(4), config).held
+    assert force_closure(world, away, half_open(model), np.eye(4), config).reason == "missed"
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_five_pulls_are_held_by_a_good_pinch_and_not_tried_on_a_miss(name: str) -> None:
+    model, config = hand(name), TugConfig()
+    world = build_world(cube(config.mass), model, tug_physics(config))
+    T = from_above(model, (0, 0, 0.025))
+    away = translation(np.array([0.0, 0.0, 0.4])) @ T
+    assert tug(world, T, half_open(model), np.eye(4), config).held
+    assert tug(world, away, half_open(model), np.eye(4), config).reason == "missed"
 
 
 def test_a_slippery_cube_is_tugged_out_of_two_fingers() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -223,7 +224,7 @@ class TugConfig:
 def check(config: PlannerConfig) -> None:
     """Raise `GraspmatchError` for a value that planning cannot work with."""
     seeding, matching, collision = config.seeding, config.matching, config.collision
-    rules: list[tuple[str, float, float, float]] = [  # name, value, least, most
+    rules: list[tuple[str, float | None, float, float]] = [  # name, value, least, most
         ("seed", config.seed, 0, math.inf),
         ("seeding.points", seeding.points, 0, 1e6),
         ("seeding.above", seeding.above, 0, 1e6),
@@ -247,6 +248,11 @@ def check(config: PlannerConfig) -> None:
         ("ranking.distinct_distance", config.ranking.distinct_distance, 0, 10),
         ("ranking.distinct_angle", config.ranking.distinct_angle, 0, 7),
     ]
+    check_ranges(rules)
+
+
+def check_ranges(rules: Sequence[tuple[str, float | None, float, float]]) -> None:
+    """Raise `GraspmatchError` for the first value that is given and not between its least and its most."""
     for name, value, least, most in rules:
-        if not least <= value <= most:  # NaN is not either
+        if value is not None and not least <= value <= most:  # NaN is not either
             raise GraspmatchError(f"{name} is {value}; it must be from {least:g} to {most:g}.")

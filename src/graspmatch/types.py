@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -175,6 +175,15 @@ class GraspSet:
 
     def __len__(self) -> int:
         return len(self.T_world_gripper)
+
+    def best(self, count: int) -> GraspSet:
+        """The first so many."""
+        per_grasp = {
+            entry.name: getattr(self, entry.name)[:count]
+            for entry in fields(self)
+            if isinstance(getattr(self, entry.name), np.ndarray)
+        }
+        return replace(self, **per_grasp)
 
     def explain(self) -> str:
         """What became of the candidates, as text."""

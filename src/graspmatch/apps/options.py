@@ -87,7 +87,7 @@ class Simulate:
     """Sliding friction; none: the protocol's."""
     mass: float | None = None
     """Mass of the object [kg]; none: the protocol's."""
-    count: int | None = None
+    first: int | None = None
     """Try only the best so many."""
     table: Annotated[str, tyro.conf.arg(metavar="auto|z=HEIGHT")] = "auto"
     """Plane that the object stands on: under its lowest point, or at a height."""
@@ -119,8 +119,6 @@ class Bench:
     """Folder of NAME/mesh.stl, or of mesh files; not for quick."""
     trials: int | None = None
     """Per object; none: 50 for paper, 5 for ablation, 3 for quick."""
-    seed: int = 0
-    """The one integer that all randomness comes from."""
     friction: float = 0.6
     """Sliding friction of every contact."""
     mass: float | None = None

@@ -14,7 +14,7 @@ from rich.table import Table
 from graspmatch.apps.options import Simulate
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
-from graspmatch.config import LiftConfig
+from graspmatch.config import LiftConfig, check_ranges
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import check_place
 from graspmatch.formats.registry import read_grasps
@@ -38,16 +38,14 @@ NONE_HELD = 3
 
 def simulate_file(command: Simulate, table: float | Literal["auto"] | None, say: Speech) -> int:
     """Try the grasps of a file on an object; show the verdicts, write the pictures; the result is the exit status."""
-    for path in (command.video, command.strip):
-        if path is not None:
-            check_place(path)
+    _check(command)
     hand, grasps = _hand_and_grasps(command)
     config = _protocol(command)
     with say.progress(f"Reading {command.object.name} (the first time, its convex parts are computed)"):
         target, height = _target(command, table, config.mass)
     grasps = _moved(grasps, -height)
-    if command.count is not None:
-        grasps = _best(grasps, command.count)
+    if command.first is not None:
+        grasps = grasps.best(command.first)
     rest = _at_rest(target, config, say)
     with say.progress("Simulating"):
         watch = (lambda n: iter(track(n, "Simulating", transient=True))) if say.is_watched else iter
@@ -90,6 +88,22 @@ def record_of_report(report: SimulationReport) -> dict[str, Any]:
     return finite_or_null({**content, **arrays, "reason": list(report.reason), "settings": json.loads(report.settings)})
 
 
+def _check(command: Simulate) -> None:
+    """Refuse what makes no sense before anything is computed for it."""
+    check_ranges(
+        [  # name, value, least, most
+            ("--friction", command.friction, 0, 10),
+            ("--mass", command.mass, 1e-3, 100),
+            ("--first", command.first, 1, 1e9),
+        ]
+    )
+    for path, known in ((command.video, (".mp4", ".gif")), (command.strip, (".png",))):
+        if path is not None:
+            if path.suffix.lower() not in known:
+                raise GraspmatchError(f"Cannot write {path}: it can be {' or '.join(known)}.")
+            check_place(path)
+
+
 def _hand_and_grasps(command: Simulate) -> tuple[HandModel, GraspSet]:
     """The hand that is asked for, or the one that the file names, and the grasps in the order of its joints."""
     if command.gripper is not None:
@@ -129,16 +143,6 @@ def _moved(grasps: GraspSet, height: float) -> GraspSet:
     up = translation(np.array([0.0, 0.0, height]))
     poses = {"T_world_gripper": up @ grasps.T_world_gripper, "T_world_pregrasp": up @ grasps.T_world_pregrasp}
     return replace(grasps, **poses)
-
-
-def _best(grasps: GraspSet, count: int) -> GraspSet:
-    """The first so many."""
-    per_grasp = {
-        name: value[:count]
-        for name, value in vars(grasps).items()
-        if isinstance(value, np.ndarray) and len(value) == len(grasps)
-    }
-    return replace(grasps, **per_grasp)
 
 
 def _at_rest(target: RigidBody, config: ProtocolConfig, say: Speech) -> Settled:

@@ -15,8 +15,7 @@ from graspmatch.geometry.mesh import TriangleMesh
 from graspmatch.gripper.cache import cache_folder
 from graspmatch.scene.read import read_mesh
 from graspmatch.scene.surface import clean_mesh
-from graspmatch.simulate import decompose as decomposing
-from graspmatch.simulate.decompose import convex_hull, decompose
+from graspmatch.simulate.decompose import convex_hull, decompose, recipe
 from graspmatch.simulate.fidelity import Fidelity, fidelity
 from graspmatch.simulate.mend import closed_bodies
 from graspmatch.types import GraspmatchError
@@ -88,8 +87,7 @@ def _cache_key(mesh: TriangleMesh, given: tuple[TriangleMesh, ...] | None) -> st
         digest.update(f"{len(part.vertices)} {len(part.faces)};".encode())
         digest.update(np.ascontiguousarray(part.vertices, dtype=np.float64).data)
         digest.update(np.ascontiguousarray(part.faces, dtype=np.int64).data)
-    knobs = sorted((name, value) for name, value in vars(decomposing).items() if name.isupper())
-    digest.update(f"{CONVEX_VERSION} {version('graspmatch')} {version('coacd')} {knobs}".encode())
+    digest.update(f"{CONVEX_VERSION} {version('graspmatch')} {recipe()}".encode())
     return f"convex-{digest.hexdigest()[:20]}"
 
 

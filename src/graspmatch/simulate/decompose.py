@@ -7,7 +7,8 @@ import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from graspmatch.geometry.mesh import TriangleMesh, face_normals_areas
+from graspmatch.simulate import mend
 from graspmatch.simulate.fidelity import fidelity
 from graspmatch.types import GraspmatchError
 
@@ -48,6 +50,12 @@ class CoacdSettings:
     mcts_iterations: int = 60
     mcts_max_depth: int = 3
     seed: int = 1
+
+
+def recipe() -> str:
+    """All that decides about the parts beside the mesh, for the key of a cache."""
+    knobs = (TOLERANCE, CONCAVITY, CONCAVITY_SHARE, MOST_PARTS, FEWEST_PARTS, SMALLEST_VOLUME)
+    return f"coacd {version('coacd')} {CoacdSettings(0, 0)} {knobs} {(mend.SMALL_HOLE, mend.WALL, mend.WALL_SHARE)}"
 
 
 def decompose(bodies: list[TriangleMesh]) -> tuple[TriangleMesh, ...]:
@@ -91,7 +99,7 @@ def _body_parts(body: TriangleMesh, most_parts: int) -> list[TriangleMesh]:
     settings = settings_for(body, most_parts)
     parts = run_coacd(body, settings)
     if not parts or fidelity(body, parts).largest_gap > TOLERANCE:
-        parts = run_coacd(body, CoacdSettings(**asdict(settings) | {"preprocess_mode": "on"}))
+        parts = run_coacd(body, replace(settings, preprocess_mode="on"))
     if not parts:
         raise GraspmatchError(
             "CoACD could not decompose the mesh into convex parts. Repair the mesh, or put its convex parts as "

@@ -25,9 +25,11 @@ def closed_bodies(mesh: TriangleMesh) -> tuple[list[TriangleMesh], bool]:
 
 def connected_bodies(mesh: TriangleMesh) -> list[TriangleMesh]:
     """The parts of the mesh that share no vertex, in the order of their first faces."""
-    label = _components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+    a, b, c = mesh.faces.T
+    faces = mesh.faces[(a != b) & (b != c) & (c != a)]  # merging near vertices leaves faces that are but an edge
+    label = _components(faces, len(mesh.vertices))[faces[:, 0]]
     _, first = np.unique(label, return_index=True)
-    return [_compact(mesh.vertices, mesh.faces[label == label[i]]) for i in np.sort(first)]
+    return [_compact(mesh.vertices, faces[label == label[i]]) for i in np.sort(first)]
 
 
 def open_edges(faces: Int[Array, "f 3"]) -> Int[Array, "e 2"]:

@@ -13,7 +13,7 @@ from graspmatch.apps.bench.trials import TrialConfig
 from graspmatch.apps.options import Bench
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
-from graspmatch.config import LiftConfig, check
+from graspmatch.config import LiftConfig, check, check_ranges
 from graspmatch.errors import GraspmatchError
 
 TRIALS = {"paper": 50, "ablation": 5, "quick": 3}
@@ -39,22 +39,20 @@ def bench(command: Bench, say: Speech) -> int:
 
 def _trial_config(command: Bench) -> TrialConfig:
     check(command.config)
-    rules: list[tuple[str, float | None, float, float]] = [  # name, value, least, most
-        ("trials", command.trials, 1, 1e6),
-        ("seed", command.seed, 0, 2**63),
-        ("friction", command.friction, 0, 10),
-        ("mass", command.mass, 1e-3, 100),
-        ("pose-error-mm", command.pose_error_mm, 0, 1000),
-        ("pose-error-deg", command.pose_error_deg, 0, 180),
-        ("processes", command.processes, 1, 1024),
-    ]
-    for name, value, least, most in rules:
-        if value is not None and not least <= value <= most:
-            raise GraspmatchError(f"--{name} is {value}; it must be from {least:g} to {most:g}.")
+    check_ranges(
+        [  # name, value, least, most
+            ("--trials", command.trials, 1, 1e6),
+            ("--friction", command.friction, 0, 10),
+            ("--mass", command.mass, 1e-3, 100),
+            ("--pose-error-mm", command.pose_error_mm, 0, 1000),
+            ("--pose-error-deg", command.pose_error_deg, 0, 180),
+            ("--processes", command.processes, 1, 1024),
+        ]
+    )
     return TrialConfig(
         lift=replace(LiftConfig(), friction=command.friction, mass=command.mass),
         trials=command.trials or TRIALS[command.what],
-        seed=command.seed,
+        seed=command.config.seed,
         pose_error_mm=command.pose_error_mm,
         pose_error_deg=command.pose_error_deg,
     )

@@ -11,11 +11,11 @@ import trimesh
 from baselines.antipodal import CLEARANCE, ENOUGH, FRICTION, antipodal, hit_by_rays, opposite_points, sorted_jaws
 from baselines.result import grasp_set
 from graspmatch.geometry import se3
-from graspmatch.geometry.mesh import transformed
+from graspmatch.geometry.mesh import TriangleMesh, transformed
 from graspmatch.gripper.kinematics import load_hand, pose_links
 from graspmatch.gripper.load import load_gripper
 from graspmatch.scene.scene import Scene
-from graspmatch.types import GraspmatchError, GraspSet, Gripper, TriangleMesh
+from graspmatch.types import GraspmatchError, GraspSet, Gripper
 from toy_hand import COARSE, write_toy
 
 SIZE = np.array([0.04, 0.03, 0.08])

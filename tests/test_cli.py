@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from graspmatch.apps import report
-from graspmatch.apps.cli import Plan, main, parse
+from graspmatch.apps.cli import main, parse
+from graspmatch.apps.options import Plan
 from graspmatch.formats.registry import read_grasps
 from graspmatch.scene.shapes import mug
 

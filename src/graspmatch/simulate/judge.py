@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
-from typing import Literal, get_args
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -55,8 +55,9 @@ def try_grasp(
     joints, T_world_gripper = grasps.pregrasp_joints[index], grasps.T_world_gripper[index]
     if isinstance(config, LiftConfig):
         return lift(world, grasps.T_world_pregrasp[index], T_world_gripper, joints, T_world_object, config, recording)
-    protocol = force_closure if isinstance(config, ForceClosureConfig) else tug
-    return protocol(world, T_world_gripper, joints, T_world_object, config, recording)
+    if isinstance(config, ForceClosureConfig):
+        return force_closure(world, T_world_gripper, joints, T_world_object, config, recording)
+    return tug(world, T_world_gripper, joints, T_world_object, config, recording)
 
 
 def judge(
@@ -107,8 +108,3 @@ def check_joints(grasps: GraspSet, hand: HandModel) -> None:
         )
     if not np.isfinite(grasps.pregrasp_joints).all():
         raise GraspmatchError("The file has no joint values before the grasp (pregrasp), which the simulator needs.")
-
-
-def known_protocols() -> tuple[str, ...]:
-    """Their names."""
-    return get_args(ProtocolName)

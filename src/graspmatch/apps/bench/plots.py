@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from graspmatch.apps.bench.summary import Row
 from graspmatch.apps.bench.tables import Published
 from graspmatch.formats.files import write_atomically
 
 OURS, THEIRS, GRID = "#3b6ea5", "#c9783f", "#dfe3e8"
-STYLE = {
+STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,

@@ -111,7 +111,7 @@ def test_a_finger_of_a_self_locking_hand_is_not_pushed_open() -> None:
     assert abs(run.data.qpos[world.drive_qpos[0]] - before[0]) < 0.01
 
 
-def lift_from(world: World, start: np.ndarray, end: np.ndarray, config: LiftConfig):  # noqa: ANN201
+def lift_from(world: World, start: np.ndarray, end: np.ndarray, config: LiftConfig):
     return lift(world, start, end, half_open(world.hand), np.eye(4), config)
 
 
@@ -186,7 +186,7 @@ def test_a_tower_stands_a_leaning_one_topples_and_a_bumpy_foot_is_levelled() -> 
     assert 0 < bumpy.levelled <= 0.005
 
 
-def transformed_body(target, rotation: np.ndarray, bump: float = 0.0):  # noqa: ANN001, ANN201
+def transformed_body(target, rotation: np.ndarray, bump: float = 0.0):
     """The body turned about its centre, and with one small foot under its middle."""
     from dataclasses import replace
 

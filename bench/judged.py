@@ -7,7 +7,6 @@ GraspNet file and read back, start the matching. Trials, objects and seeds are t
 from __future__ import annotations
 
 import argparse
-import os
 import tempfile
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from rich.console import Console
 
 from baselines.antipodal import antipodal
 from baselines.split_pso import split_pso
-from graspmatch.apps.bench.machine import described, machine
+from graspmatch.apps.bench.machine import described, machine, usable_cores
 from graspmatch.apps.bench.objects import folder_sources, household_sources
 from graspmatch.apps.bench.run import Benchmark, Workshop, run_benchmark
 from graspmatch.apps.bench.summary import Row, summary
@@ -61,10 +60,14 @@ def main() -> None:
     parser.add_argument("--objects", type=Path, default=PAPER_OBJECTS)
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--output", type=Path, default=RESULTS)
-    parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--fresh", action="store_true", help="run all trials again")
+    parser.add_argument("--processes", type=int, default=usable_cores())
     arguments = parser.parse_args()
     sources = folder_sources(arguments.objects) if arguments.objects.is_dir() else household_sources()
-    config, workshop = TrialConfig(trials=arguments.trials), Workshop(arguments.output, arguments.processes)
+    config, workshop = (
+        TrialConfig(trials=arguments.trials),
+        Workshop(arguments.output, arguments.processes, arguments.fresh),
+    )
     console, tables, means = Console(width=140), {}, []
     for method in arguments.methods or METHODS_OF.get(arguments.gripper, ("ours",)):
         label = f"judged-{arguments.gripper}-{method.replace(' ', '')}"
@@ -72,15 +75,15 @@ def main() -> None:
         console.print(rich_table(f"{method}, {arguments.gripper}", rows, {}))
         tables[method] = record(rows, {})
         means.append(replace(rows[-1], name=method))
-    report(arguments.gripper, means, tables, config, arguments.output)
+    report(arguments.gripper, means, tables, config, arguments.output, arguments.processes)
 
 
-def report(gripper: str, means: list[Row], tables: dict, config: TrialConfig, output: Path) -> None:
+def report(gripper: str, means: list[Row], tables: dict, config: TrialConfig, output: Path, processes: int) -> None:
     """Write all tables as JSON, and the means as Markdown."""
     about = machine()
     name = f"judged-{gripper}"
     write_json(output / f"{name}.json", {"machine": about, "settings": asdict(config), "methods": tables})
-    text = markdown(f"Methods in the judge: {gripper}", means, {}, notes_on(about, asdict(config)))
+    text = markdown(f"Methods in the judge: {gripper}", means, {}, notes_on(about, asdict(config), processes))
     write_text(output / f"{name}.md", text)
     print(f"Wrote {output / name}.json, .md ({described(about)})")
 

@@ -156,6 +156,8 @@ class LiftConfig:
     """Of the object [kg]; none: from its volume, at 300 kg/m3, 50 to 500 g."""
     time_step: float = 0.002
     """[s]"""
+    approach_distance: float = 0.15
+    """Of the straight way in, where the grasps do not say where it begins [m]."""
     approach_seconds: float = 0.75
     """For the straight way in [s]."""
     closing_seconds: float = 1.0
@@ -178,6 +180,8 @@ class LiftConfig:
     """Largest force between hand and object before the fingers close [N]."""
     largest_shortfall: float = 0.01
     """Farthest that the hand may stop short of its place [m]."""
+    largest_tilt: float = math.radians(2.0)
+    """Farthest that it may be turned out of its pose by then [rad]."""
 
 
 @dataclass(frozen=True)

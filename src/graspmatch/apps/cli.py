@@ -15,7 +15,7 @@ from graspmatch.errors import GraspmatchError
 
 DESCRIPTION = """Plan 6-DoF grasps for any hand from a mesh or a point cloud.
 
-Exit status: 0 done, 1 a fault of graspmatch, 2 something given cannot be used, 3 no grasp was found."""
+Exit status: 0 done, 1 a fault of graspmatch, 2 something given cannot be used, 3 no grasp was found, or none held."""
 
 SHORT_FORMS = {"--method": "--matching.method", "--count": "--ranking.count"}
 """Options of the configuration that are used often enough to have a second name."""

@@ -7,10 +7,12 @@ from dataclasses import asdict, replace
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 from rich import box
 from rich.progress import track
 from rich.table import Table
 
+from graspmatch.apps.bench.objects import object_name
 from graspmatch.apps.options import Simulate
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
@@ -32,6 +34,8 @@ from graspmatch.simulate.rigid_body import RigidBody, rigid_body
 from graspmatch.simulate.settle import Settled, settle
 from graspmatch.types import GraspSet, Plane, SimulationReport
 
+FARTHEST, STEEPEST = 0.01, 5.0
+"""An object that settles by more [m, degrees] is not where its grasps were planned."""
 NONE_HELD = 3
 """Exit status when no grasp holds."""
 
@@ -43,14 +47,16 @@ def simulate_file(command: Simulate, table: float | Literal["auto"] | None, say:
     config = _protocol(command)
     with say.progress(f"Reading {command.object.name} (the first time, its convex parts are computed)"):
         target, height = _target(command, table, config.mass)
-    grasps = _moved(grasps, -height)
+    grasps = _moved(grasps, translation(np.array([0.0, 0.0, -height])))
     if command.first is not None:
         grasps = grasps.best(command.first)
     rest = _at_rest(target, config, say)
+    grasps = _moved(grasps, rest.T_world_object)
     with say.progress("Simulating"):
         watch = (lambda n: iter(track(n, "Simulating", transient=True))) if say.is_watched else iter
         report = judge(grasps, rest.target, hand, rest.T_world_object, config, watch=watch)
-    say.show(table_of_verdicts(report))
+    if len(report):
+        say.show(table_of_verdicts(report))
     say.show(summary_of(report))
     if (command.video or command.strip) and len(grasps):
         _draw(command, grasps, rest, hand, config, say)
@@ -72,11 +78,13 @@ def table_of_verdicts(report: SimulationReport) -> Table:
 
 def summary_of(report: SimulationReport) -> str:
     """How many held, and under which protocol."""
+    if not len(report):
+        return "The file has no grasps."
     settings = json.loads(report.settings)
     return (
-        f"{int(report.held.sum())} of {len(report)} grasps held: protocol {report.protocol}, friction "
+        f"{int(report.held.sum())} of {len(report)} grasps held: protocol {report.protocol} version 1, friction "
         f"{settings['friction']:g}, mass {1000 * report.mass:.0f} g, {report.engine}, "
-        f"{np.median(report.seconds) if len(report) else 0:.2f} s each; convex parts reach "
+        f"{np.median(report.seconds):.2f} s each; convex parts reach "
         f"{1000 * report.bulge:.1f} mm beyond the mesh."
     )
 
@@ -129,6 +137,8 @@ def _target(command: Simulate, table: float | Literal["auto"] | None, mass: floa
     scene = Scene.read(command.object, table=table, unit=command.unit)
     if scene.mesh is None:
         raise GraspmatchError(f"{command.object} is a cloud; the simulator needs a mesh.")
+    if scene.table is None and command.protocol == "lift":
+        raise GraspmatchError("Protocol lift needs a table: --table auto, or its height as --table z=0.02.")
     height = scene.table.offset if scene.table is not None else 0.0
     ready = command.object.parent / "convex"
     scaled = command.unit not in ("auto", "m")
@@ -136,17 +146,19 @@ def _target(command: Simulate, table: float | Literal["auto"] | None, mass: floa
     down = translation(np.array([0.0, 0.0, -height]))
     parts = tuple(transformed(part, down) for part in convex.parts)
     moved = transformed(scene.mesh, down)
-    return rigid_body(command.object.stem, moved, parts, bulge=convex.bulge, mass=mass), height
+    return rigid_body(object_name(command.object), moved, parts, bulge=convex.bulge, mass=mass), height
 
 
-def _moved(grasps: GraspSet, height: float) -> GraspSet:
-    up = translation(np.array([0.0, 0.0, height]))
-    poses = {"T_world_gripper": up @ grasps.T_world_gripper, "T_world_pregrasp": up @ grasps.T_world_pregrasp}
-    return replace(grasps, **poses)
+def _moved(grasps: GraspSet, T_new_old: Float[np.ndarray, "4 4"]) -> GraspSet:
+    return replace(
+        grasps,
+        T_world_gripper=T_new_old @ grasps.T_world_gripper,
+        T_world_pregrasp=T_new_old @ grasps.T_world_pregrasp,
+    )
 
 
 def _at_rest(target: RigidBody, config: ProtocolConfig, say: Speech) -> Settled:
-    """Where the object stands; without a table, where it is."""
+    """Where the object comes to rest; without a table, where it is."""
     if not isinstance(config, LiftConfig):
         return Settled(target, np.eye(4), 0.0, topples=False)
     rest = settle(target, config.friction)
@@ -154,8 +166,13 @@ def _at_rest(target: RigidBody, config: ProtocolConfig, say: Speech) -> Settled:
         raise GraspmatchError(f"{target.name} does not stand as it is given: it falls over or rolls away.")
     moved = float(np.linalg.norm(rest.T_world_object[:3, 3]))
     tilt = float(np.degrees(np.arccos(np.clip(rest.T_world_object[2, 2], -1, 1))))
-    if moved > 0.003 or tilt > 1:
-        say.show(f"Note: the object settles by {1000 * moved:.0f} mm and {tilt:.0f} degrees before it is grasped.")
+    what = f"settles by {1000 * moved:.0f} mm and {tilt:.0f} degrees on the table"
+    if moved > FARTHEST or tilt > STEEPEST:
+        raise GraspmatchError(f"{target.name} {what}: the grasps were planned for another pose. Check --table.")
+    if moved > FARTHEST / 5 or tilt > STEEPEST / 5:
+        say.show(f"Note: {target.name} {what}; its grasps are moved along.")
+    if rest.levelled:
+        say.show(f"Note: its foot was levelled by {1000 * rest.levelled:.0f} mm so that it stands.")
     return rest
 
 

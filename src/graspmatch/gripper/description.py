@@ -187,7 +187,7 @@ def _link(model: mujoco.MjModel, body: int, name: str) -> Link:
     geoms = _geoms(model, body)
     touching = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
     shown = [g for g in geoms if g not in touching] or geoms
-    meshes = {g: _geom_mesh(model, g) for g in geoms}
+    meshes = {g: geom_mesh(model, g) for g in geoms}
     largest = max(shown, key=lambda g: face_normals_areas(meshes[g])[1].sum())
     material = model.geom_matid[largest]
     rgba = model.geom_rgba[largest] if material < 0 else model.mat_rgba[material]
@@ -199,7 +199,7 @@ def _link(model: mujoco.MjModel, body: int, name: str) -> Link:
     )
 
 
-def _geom_mesh(model: mujoco.MjModel, geom: int) -> TriangleMesh:
+def geom_mesh(model: mujoco.MjModel, geom: int) -> TriangleMesh:
     """Triangles of a geom in the frame of its body."""
     T_body_geom = from_parts(matrix_from_quaternion(model.geom_quat[geom]), model.geom_pos[geom])
     kind = int(model.geom_type[geom])

@@ -9,11 +9,10 @@ from jaxtyping import Float
 from graspmatch.geometry.se3 import apply
 from graspmatch.gripper.description import load_spec
 from graspmatch.gripper.kinematics import HandModel, pose_links
+from graspmatch.simulate.shape import PREFIX, give_true_shapes
 
 Array = np.ndarray
 
-PREFIX = "hand/"
-"""Of all names that come from the description."""
 BASE = "base"
 BASE_AXES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 """Joints and servos of the base."""
@@ -28,6 +27,8 @@ BASE_LIMIT = (150.0, 150.0, 150.0, 30.0, 30.0, 30.0)
 """What the arm can press with [N, N m]."""
 ARMATURE = {mujoco.mjtJoint.mjJNT_SLIDE: 0.1, mujoco.mjtJoint.mjJNT_HINGE: 1e-3}
 """Inertia of a drive [kg, kg m2], where the description gives less."""
+MOST_DAMPING = {mujoco.mjtJoint.mjJNT_SLIDE: 1.0, mujoco.mjtJoint.mjJNT_HINGE: 0.01}
+"""Of a joint [N s/m, N m s], where the description gives more: files are careless, and the drive has its own."""
 FOLLOWER_SHARE = 0.1
 """Of a drive's inertia, for the joints that follow it."""
 STIFF_SOLREF, STIFF_SOLIMP = (0.004, 1.0), (0.99, 0.999, 1e-4, 0.5, 2.0)
@@ -44,6 +45,8 @@ def add_hand(spec: mujoco.MjSpec, hand: HandModel) -> None:
     for element in [*part.actuators, *part.excludes, *part.pairs, *part.keys, *part.sensors]:
         part.delete(element)
     _agree_on_options(part, spec)
+    for i, body in enumerate(part.bodies):
+        body.name = body.name or f"body_{i}"  # as the description calls it
     base = _add_base(spec)
     root = next(body for body in part.bodies if body.name == hand.card.base_link)
     for joint in list(root.joints):
@@ -53,6 +56,7 @@ def add_hand(spec: mujoco.MjSpec, hand: HandModel) -> None:
     for equality in spec.equalities:
         equality.solref, equality.solimp = STIFF_SOLREF, STIFF_SOLIMP
     _prepare_bodies(base)
+    give_true_shapes(spec, base, hand.description)
     _add_couplings(spec, hand)
     _add_drives(spec, hand)
 
@@ -79,9 +83,9 @@ def drive_forces(hand: HandModel) -> Float[Array, "d"]:
         for joint in driven:
             one = np.zeros(len(motion))
             one[joint] = step * motion[joint]
-            lever = abs(_velocity(hand, links, middle, one)[tip] @ direction) / abs(one[joint])
+            lever = _velocity(hand, links, middle, one)[tip] @ direction / abs(one[joint])
             forces[joint] += card.finger_force * lever
-    return forces
+    return np.maximum(forces, 0.0)
 
 
 def _velocity(
@@ -123,9 +127,11 @@ def _prepare_bodies(base: mujoco.MjsBody) -> None:
         for geom in body.geoms:
             touches = any(geom is other for other in touching)
             geom.contype, geom.conaffinity = (HAND_BIT, OBJECT_BIT | TABLE_BIT) if touches else (0, 0)
-            geom.priority = 0
+            geom.priority, geom.gap, geom.solmix = 0, 0.0, 1.0
         for joint in body.joints:
             joint.armature = max(joint.armature, FOLLOWER_SHARE * ARMATURE[joint.type])
+            joint.damping = np.clip(joint.damping, 0.0, MOST_DAMPING[joint.type])
+            joint.frictionloss = 0
             joint.solref_limit, joint.solimp_limit = STIFF_SOLREF, STIFF_SOLIMP
 
 

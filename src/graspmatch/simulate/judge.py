@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from graspmatch.config import ForceClosureConfig, LiftConfig, TugConfig
 from graspmatch.errors import GraspmatchError
+from graspmatch.geometry.se3 import translation
 from graspmatch.gripper.kinematics import HandModel
 from graspmatch.simulate.free import force_closure, force_closure_physics, tug, tug_physics
 from graspmatch.simulate.lift import lift, lift_physics
@@ -54,7 +55,10 @@ def try_grasp(
     """The verdict on one grasp of a set, for an object at rest at a pose."""
     joints, T_world_gripper = grasps.pregrasp_joints[index], grasps.T_world_gripper[index]
     if isinstance(config, LiftConfig):
-        return lift(world, grasps.T_world_pregrasp[index], T_world_gripper, joints, T_world_object, config, recording)
+        T_world_pregrasp = grasps.T_world_pregrasp[index]
+        if not np.isfinite(T_world_pregrasp).all():  # a file of another tool does not say
+            T_world_pregrasp = T_world_gripper @ translation(-config.approach_distance * world.hand.card.approach)
+        return lift(world, T_world_pregrasp, T_world_gripper, joints, T_world_object, config, recording)
     if isinstance(config, ForceClosureConfig):
         return force_closure(world, T_world_gripper, joints, T_world_object, config, recording)
     return tug(world, T_world_gripper, joints, T_world_object, config, recording)
@@ -106,5 +110,7 @@ def check_joints(grasps: GraspSet, hand: HandModel) -> None:
             f"The grasps are for the joints {', '.join(grasps.joint_names) or 'none'}; "
             f"{hand.card.name} has {', '.join(hand.joint_names)}."
         )
+    if not np.isfinite(grasps.T_world_gripper).all():
+        raise GraspmatchError("A pose among the grasps is not finite.")
     if not np.isfinite(grasps.pregrasp_joints).all():
         raise GraspmatchError("The file has no joint values before the grasp (pregrasp), which the simulator needs.")

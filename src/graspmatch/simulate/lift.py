@@ -12,7 +12,7 @@ from graspmatch.config import LiftConfig
 from graspmatch.geometry.se3 import apply
 from graspmatch.simulate.contacts import Touch, touch
 from graspmatch.simulate.motion import Recording, Run
-from graspmatch.simulate.verdict import Verdict, in_hand, motion_in_hand, verdict_of
+from graspmatch.simulate.verdict import Verdict, angle_between, in_hand, motion_in_hand, verdict_of
 from graspmatch.simulate.world import Physics, World, gripper_pose, object_pose, place
 
 Array = np.ndarray
@@ -75,13 +75,17 @@ def _approach(
         if run.data.ncon:
             met.append(touch(world, run.data))
     push = float(np.linalg.norm(apply(object_pose(world, run.data), world.target.centre_of_mass[None])[0] - centre))
-    short = float(np.linalg.norm(gripper_pose(world, run.data)[:3, 3] - T_world_gripper[:3, 3]))
+    reached = gripper_pose(world, run.data)
+    short, askew = (
+        float(np.linalg.norm(reached[:3, 3] - T_world_gripper[:3, 3])),
+        angle_between(reached, T_world_gripper),
+    )
     depth = max((t.depth for t in met), default=0.0)
     for is_wrong, what in (
         (any(t.hand_on_table for t in met), "the hand meets the table"),
         (push > config.largest_push, "the object is pushed away"),
         (any(t.press > config.largest_press for t in met), "the hand presses on the object"),
-        (short > config.largest_shortfall, "the hand stops short"),
+        (short > config.largest_shortfall or askew > config.largest_tilt, "the hand stops short"),
     ):
         if is_wrong:
             return f"collision in approach: {what}", push, depth

@@ -27,6 +27,8 @@ class Recording:
     """The poses of a run, frame by frame."""
 
     frames_per_second: int = 25
+    clock: float = 0.0
+    """Of the run so far; the engine's own is turned back by protocols that try several things from one state [s]."""
     times: list[float] = field(default_factory=list)
     """[s]"""
     phases: list[str] = field(default_factory=list)
@@ -35,10 +37,11 @@ class Recording:
     T_world_object: list[Float[Array, "4 4"]] = field(default_factory=list)
 
     def take(self, world: World, data: mujoco.MjData, phase: str) -> None:
-        """A frame, if it is time for one."""
-        if self.times and data.time < self.times[-1] + 1 / self.frames_per_second - 1e-9:
+        """A frame, if it is time for one: to be called after each time step."""
+        self.clock += world.model.opt.timestep
+        if self.clock < len(self.times) / self.frames_per_second - 1e-9:
             return
-        self.times.append(float(data.time))
+        self.times.append(self.clock)
         self.phases.append(phase)
         self.T_world_link.append(np.stack([body_pose(data, body) for body in world.link_bodies]))
         self.T_world_object.append(object_pose(world, data))
@@ -56,6 +59,7 @@ class Run:
     """Where the base shall be, from where it was placed [m]."""
     speed: Float[Array, "d"] = field(init=False)
     """Of the driven joints when nothing is in their way; zero: locked."""
+    is_closing: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
         self.hold_fingers()
@@ -63,15 +67,22 @@ class Run:
     def step(self) -> None:
         """One time step."""
         mujoco.mj_step(self.world.model, self.data)
-        if self.world.hand.card.self_locking:
+        if self.is_closing and self.world.hand.card.self_locking:
             self._advance_ratchets()
         if self.recording is not None:
             self.recording.take(self.world, self.data, self.phase)
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether the engine has given up on the state, which it then resets."""
+        return any(warning.number for warning in self.data.warning)
 
     def wait(self, seconds: float) -> Iterator[None]:
         """Stay and go on squeezing."""
         for _ in range(round(seconds / self.world.model.opt.timestep)):
             self.step()
+            if self.is_broken:
+                return
             yield
 
     def move(self, way: Float[Array, "3"], seconds: float) -> Iterator[None]:
@@ -84,6 +95,8 @@ class Run:
             velocity = (1 - np.cos(turn)) * way / seconds
             self.data.ctrl[world.base_servo[:3]] = self.base + lead * velocity
             self.step()
+            if self.is_broken:
+                return
             yield
 
     def close(self, seconds: float, *, squeeze: float) -> Iterator[None]:
@@ -101,9 +114,10 @@ class Run:
             at_rest = bool(np.all(np.abs(velocity) < AT_REST * np.abs(self.speed[moving])))
             quiet = quiet + step if at_rest else 0.0
             yield
-            if quiet > squeeze / 2:
+            if quiet > squeeze / 2 or self.is_broken:
                 break
         yield from self.wait(squeeze)
+        self.is_closing = False
 
     def hold_fingers(self) -> None:
         """Lock every driven joint where it is."""
@@ -118,7 +132,7 @@ class Run:
     def _release_fingers(self, seconds: float) -> None:
         """Let the closing joints go to the card's closed posture, or back as far as the drives allow."""
         world, card = self.world, self.world.hand.card
-        self.speed = (card.closed_joints - card.open_joints) / seconds
+        self.speed, self.is_closing = (card.closed_joints - card.open_joints) / seconds, True
         for i in np.flatnonzero(self.speed):
             held = self.data.qpos[world.drive_qpos[i]]
             back = held if card.self_locking else world.drive_range[i, 0 if self.speed[i] > 0 else 1]

@@ -67,10 +67,12 @@ def _let_down(target: RigidBody, friction: float) -> tuple[Float[Array, "4 4"], 
     data.qpos[2] = -_lowest(target)
     reach = float(max(np.linalg.norm(part.vertices - target.centre_of_mass, axis=-1).max() for part in target.parts))
     quiet = 0.0
-    while data.time < LONGEST and quiet < REST_SECONDS:
+    for _ in range(round(LONGEST / physics.time_step)):
         mujoco.mj_step(model, data)
         speed = np.linalg.norm(data.qvel[:3]) + reach * np.linalg.norm(data.qvel[3:6])
         quiet = quiet + physics.time_step if speed < REST_SPEED else 0.0
+        if quiet >= REST_SECONDS:
+            break
     body = model.body(OBJECT).id
     mujoco.mj_kinematics(model, data)
     return from_parts(data.xmat[body].reshape(3, 3), data.xpos[body]), quiet >= REST_SECONDS

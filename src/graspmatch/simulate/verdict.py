@@ -53,9 +53,8 @@ def verdict_of(
     """
     slip, turn = (0.0, 0.0) if begin is None else motion_in_hand(run.world, run.data, begin)
     depth = max(depth, 0.0 if touched is None else touched.depth, touch(run.world, run.data).depth)
-    warned = any(warning.number for warning in run.data.warning)
     finite = np.isfinite(run.data.qpos).all() and np.isfinite([slip, turn]).all()
-    if warned or not finite or (depth > DEEPEST and not reason):
+    if run.is_broken or not finite or (depth > DEEPEST and not reason):
         reason = "unstable simulation"
     fingers = 0 if touched is None else len(touched.fingers)
     return Verdict(not reason, reason, slip, turn, push, depth, fingers)
@@ -71,5 +70,10 @@ def motion_in_hand(world: World, data: mujoco.MjData, begin: Float[Array, "4 4"]
     now = in_hand(world, data)
     centre = world.target.centre_of_mass[None]
     slip = float(np.linalg.norm(apply(now, centre) - apply(begin, centre)))
-    cosine = (np.trace(begin[:3, :3].T @ now[:3, :3]) - 1) / 2
-    return slip, float(np.arccos(np.clip(cosine, -1, 1)))
+    return slip, angle_between(begin, now)
+
+
+def angle_between(T_a: Float[Array, "4 4"], T_b: Float[Array, "4 4"]) -> float:
+    """Of the turn from one pose to another [rad]."""
+    cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
+    return float(np.arccos(np.clip(cosine, -1, 1)))

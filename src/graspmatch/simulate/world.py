@@ -11,8 +11,9 @@ from jaxtyping import Float, Int
 from graspmatch.errors import GraspmatchError
 from graspmatch.geometry.se3 import from_parts, quaternion_from_matrix
 from graspmatch.gripper.kinematics import HandModel, solve_posture
-from graspmatch.simulate.hand import BASE, BASE_AXES, HAND_BIT, OBJECT_BIT, PREFIX, TABLE_BIT, add_hand, drive_forces
+from graspmatch.simulate.hand import BASE, BASE_AXES, HAND_BIT, OBJECT_BIT, TABLE_BIT, add_hand, drive_forces
 from graspmatch.simulate.rigid_body import RigidBody
+from graspmatch.simulate.shape import PREFIX
 
 Array = np.ndarray
 
@@ -63,7 +64,9 @@ class World:
     drive_range: Float[Array, "d 2"]
     """Limits of the driven joints in the description."""
     joint_qpos: Int[Array, "q"]
-    """Where the model has the joints of the description, in the order of its qpos."""
+    """Where the model has the joints of the hand ..."""
+    posture_qpos: Int[Array, "q"]
+    """... and where a posture has them."""
     finger_of_body: Int[Array, "b"]
     """Index of the finger that each body belongs to, or -1."""
 
@@ -138,8 +141,7 @@ def build_world(target: RigidBody, hand: HandModel, physics: Physics) -> World:
     motors = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, PREFIX + name) for name in hand.joint_names]
     base = [model.joint(name).id for name in BASE_AXES]
     base_servo = np.array([model.actuator(name).id for name in BASE_AXES])
-    own = hand.description.model
-    names = [own.joint(i).name for i in range(own.njnt)]
+    own, names = hand.description.model, hand.description.joint_names
     return World(
         model=model,
         target=target,
@@ -158,6 +160,7 @@ def build_world(target: RigidBody, hand: HandModel, physics: Physics) -> World:
         drive_force=drive_forces(hand),
         drive_range=model.jnt_range[drives].copy(),
         joint_qpos=np.array([model.joint(PREFIX + name).qposadr[0] for name in names]),
+        posture_qpos=np.array([own.joint(name).qposadr[0] for name in names]),
         finger_of_body=_fingers(model, hand),
     )
 
@@ -177,7 +180,7 @@ def place(
     model.body_pos[world.hand_root] = 0
     model.body_quat[world.hand_root] = quaternion_from_matrix(T_world_gripper[:3, :3])
     data = mujoco.MjData(model)
-    data.qpos[world.joint_qpos] = solve_posture(world.hand, driven)
+    data.qpos[world.joint_qpos] = solve_posture(world.hand, driven)[world.posture_qpos]
     data.qpos[world.object_qpos :][:7] = np.r_[T_world_object[:3, 3], quaternion_from_matrix(T_world_object[:3, :3])]
     mujoco.mj_forward(model, data)
     return data

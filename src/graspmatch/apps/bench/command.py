@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import replace
 
-from graspmatch.apps.bench.experiments import ablation, paper, quick
-from graspmatch.apps.bench.objects import folder_sources
+from graspmatch.apps.bench.experiments import Task, ablation, paper, quick
+from graspmatch.apps.bench.machine import usable_cores
+from graspmatch.apps.bench.objects import folder_sources, household_sources
 from graspmatch.apps.bench.run import Workshop
 from graspmatch.apps.bench.trials import TrialConfig
 from graspmatch.apps.options import Bench
@@ -23,15 +23,9 @@ TRIALS = {"paper": 50, "ablation": 5, "quick": 3}
 def bench(command: Bench, say: Speech) -> int:
     """Run the experiment that is asked for; the result is the exit status."""
     config, workshop = _trial_config(command), _workshop(command)
-    if command.what == "quick":
-        result = quick(command.gripper, config, command.config, workshop, say)
-    else:
-        sources = folder_sources(command.objects)
-        if command.what == "ablation":
-            result = ablation(command.gripper, sources, config, workshop, say)
-        else:
-            options = {"description": command.description}
-            result = paper(command.gripper, sources, config, command.config, workshop, say, **options)
+    sources = household_sources() if command.what == "quick" else folder_sources(command.objects)
+    task = Task(command.gripper, command.description, sources, config, command.config)
+    result = {"paper": paper, "ablation": ablation, "quick": quick}[command.what](task, workshop, say)
     if say.as_json:
         print(json.dumps(finite_or_null(result), allow_nan=False))
     return 0
@@ -63,5 +57,5 @@ def _workshop(command: Bench) -> Workshop:
         command.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise GraspmatchError(f"Cannot make the folder {command.output}: {error.strerror}.") from error
-    processes = command.processes or len(os.sched_getaffinity(0))
+    processes = command.processes or usable_cores()
     return Workshop(command.output, processes, fresh=command.fresh, quiet=command.quiet)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 from graspmatch.apps.bench.machine import described, machine
@@ -15,11 +15,13 @@ from graspmatch.apps.bench.paper import PAPER, TABLES
 from graspmatch.apps.bench.plots import Series, plot_against_count, plot_rates
 from graspmatch.apps.bench.run import Benchmark, Workshop, run_benchmark
 from graspmatch.apps.bench.summary import Row, summary
-from graspmatch.apps.bench.tables import markdown, notes_on, record, rich_table, write_json, write_text
+from graspmatch.apps.bench.tables import Published, markdown, notes_on, record, rich_table, write_json, write_text
 from graspmatch.apps.bench.trials import Planner, PlanWith, Trial, TrialConfig
 from graspmatch.apps.speech import Speech
 from graspmatch.config import Method, PlannerConfig, PoseGaussian
 from graspmatch.geometry import se3
+from graspmatch.gripper.card import read_card
+from graspmatch.gripper.zoo import card_path
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspSet, Gripper
 
@@ -29,50 +31,48 @@ METHODS: tuple[Method, ...] = ("icp", "sgd-icp", "stein-icp", "annealed-stein-ic
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """What is compared, and what came out."""
+class Task:
+    """What a benchmark is asked for."""
 
-    title: str
-    benchmark: Benchmark
-    rows: list[Row]
+    gripper: str
+    """Name of a known hand, or path of a card."""
+    description: Path | None
+    sources: Sequence[ObjectSource]
+    config: TrialConfig
+    planner: PlannerConfig
+
+    @property
+    def hand_name(self) -> str:
+        """The name on the hand's card."""
+        return read_card(card_path(self.gripper)).name
+
+    def with_planner(self, label: str, planner: Planner) -> Benchmark:
+        """Its trials with a planner."""
+        return Benchmark(label, planner, self.gripper, self.sources, self.config, self.description)
 
 
-def paper(
-    gripper: str,
-    sources: Sequence[ObjectSource],
-    config: TrialConfig,
-    planner: PlannerConfig,
-    workshop: Workshop,
-    say: Speech,
-    *,
-    description: Path | None = None,
-) -> dict[str, Any]:
+def paper(task: Task, workshop: Workshop, say: Speech) -> dict[str, Any]:
     """Table II (Franka Hand) or III (Barrett) of the paper, or the same table for another hand; its JSON."""
-    title = f"{TABLES[gripper]}: {gripper}" if gripper in TABLES else gripper
-    label = f"paper-{gripper}{_suffix(config)}"
-    return rates(
-        title, label, Benchmark(label, PlanWith(planner), gripper, sources, config, description), workshop, say
-    )
+    name = task.hand_name
+    title = f"{TABLES[name]}: {name}" if name in TABLES else name
+    return rates(title, f"paper-{name}{_suffix(task.config)}", task, PAPER.get(name, {}), workshop, say)
 
 
-def quick(gripper: str, config: TrialConfig, planner: PlannerConfig, workshop: Workshop, say: Speech) -> dict[str, Any]:
+def quick(task: Task, workshop: Workshop, say: Speech) -> dict[str, Any]:
     """The twelve objects made by code: runs anywhere."""
-    from graspmatch.apps.bench.objects import household_sources
-
     begin = time.perf_counter()
-    label = f"quick-{gripper}{_suffix(config)}"
-    benchmark = Benchmark(label, PlanWith(planner), gripper, household_sources(), config)
-    result = rates(f"Household objects made by code: {gripper}", label, benchmark, workshop, say)
+    name = task.hand_name
+    result = rates(f"Objects made by code: {name}", f"quick-{name}{_suffix(task.config)}", task, {}, workshop, say)
     say.show(f"Done in {time.perf_counter() - begin:.0f} s.")
     return result
 
 
-def rates(title: str, label: str, benchmark: Benchmark, workshop: Workshop, say: Speech) -> dict[str, Any]:
-    """Run a benchmark; show its table and write it as JSON, Markdown and a plot."""
-    rows = summary(run_benchmark(benchmark, workshop))
-    about, settings = machine(), asdict(benchmark.config)
-    published = PAPER.get(benchmark.gripper, {})
-    notes = notes_on(about, settings, _fidelity(benchmark.sources))
+def rates(title: str, label: str, task: Task, published: Published, workshop: Workshop, say: Speech) -> dict[str, Any]:
+    """Run trials; show their table and write it as JSON, Markdown and a plot."""
+    trials = run_benchmark(task.with_planner(label, PlanWith(task.planner)), workshop)
+    rows, published = with_common_mean(summary(trials), trials, published)
+    about, settings = machine(), asdict(task.config)
+    notes = notes_on(about, settings, workshop.processes, _fidelity(task.sources))
     say.show(rich_table(title, rows, published))
     for note in notes:
         say.show(note)
@@ -82,6 +82,18 @@ def rates(title: str, label: str, benchmark: Benchmark, workshop: Workshop, say:
     plot_rates(workshop.output / f"{label}.png", title, rows, published)
     say.show(f"Wrote {workshop.output / label}.json, .md, .png")
     return content
+
+
+def with_common_mean(rows: list[Row], trials: Sequence[Trial], published: Published) -> tuple[list[Row], Published]:
+    """The rows with another mean, over the objects that a publication has too: only these compare."""
+    common = sorted({trial.object for trial in trials} & published.keys())
+    if not common:
+        return rows, {}
+    name = f"mean of {len(common)} common"
+    ours = summary(trial for trial in trials if trial.object in common)[-1]
+    theirs = [published[object_] for object_ in common]
+    figures = (mean(rate for rate, _ in theirs), mean(seconds for _, seconds in theirs))
+    return [*rows, replace(ours, name=name)], {**{object_: published[object_] for object_ in common}, name: figures}
 
 
 @dataclass(frozen=True)
@@ -118,56 +130,50 @@ def four_gaussians(scene: Scene, gripper: Gripper) -> tuple[PoseGaussian, ...]:
     return tuple(means)
 
 
-def ablation(
-    gripper: str, sources: Sequence[ObjectSource], config: TrialConfig, workshop: Workshop, say: Speech
-) -> dict[str, Any]:
+def ablation(task: Task, workshop: Workshop, say: Speech) -> dict[str, Any]:
     """Success and time against the number of initialisations, for two ways to choose them, and for the four methods."""
+    name, about = f"ablation-{task.hand_name}{_suffix(task.config)}", machine()
 
-    def run(label: str, planner: Planner) -> Row:
-        trials: list[Trial] = run_benchmark(Benchmark(label, planner, gripper, sources, config), workshop)
-        row = replace(summary(trials)[-1], name=label.removeprefix(f"ablation-{gripper}-"))
-        say.show(f"{row.name:28s} {100 * row.rate:5.1f} % held, {row.plan_seconds:.2f} s")
+    def run(what: str, planner: Planner) -> Row:
+        row = replace(summary(run_benchmark(task.with_planner(f"{name}-{what}", planner), workshop))[-1], name=what)
+        say.show(f"{what:24s} {100 * row.rate:5.1f} % held, {row.plan_seconds:.2f} s")
         return row
 
     fibonacci, gaussian = [], []
     for count in PARTICLES:
-        fibonacci.append(run(f"ablation-{gripper}-fibonacci-{count}", PlanWith(_with_starts(count))))
-        gaussian.append(run(f"ablation-{gripper}-gaussian-{count}", PlanFromGaussians(_with_draws(count))))
-    methods = [run(f"ablation-{gripper}-{method}", PlanWith(_with_method(method))) for method in METHODS]
-    about, name = machine(), f"ablation-{gripper}"
+        fibonacci.append(run(f"fibonacci-{count}", PlanWith(_with_starts(task.planner, count))))
+        gaussian.append(run(f"gaussian-{count}", PlanFromGaussians(_with_draws(task.planner, count))))
+    methods = [run(method, PlanWith(_with_method(task.planner, method))) for method in METHODS]
     lines = [Series("Fibonacci", PARTICLES, fibonacci), Series("Gaussian", PARTICLES, gaussian)]
-    plot_against_count(workshop.output / f"{name}.png", f"Ablation: {gripper}", "initialisations per preshape", lines)
+    title = f"Ablation: {task.hand_name}"
+    plot_against_count(workshop.output / f"{name}.png", title, "initialisations per preshape", lines)
     content = {
         "machine": about,
-        "settings": asdict(config),
-        "objects": [source.name for source in sources],
+        "settings": asdict(task.config),
+        "objects": [source.name for source in task.sources],
         "particles": list(PARTICLES),
         "fibonacci": record(fibonacci, {}),
         "gaussian": record(gaussian, {}),
         "methods": record(methods, {}),
     }
     write_json(workshop.output / f"{name}.json", content)
-    notes = notes_on(about, asdict(config))
-    table = markdown(f"Ablation: {gripper}", [*fibonacci, *gaussian, *methods], {}, notes)
-    write_text(workshop.output / f"{name}.md", table)
+    notes = notes_on(about, asdict(task.config), workshop.processes)
+    write_text(workshop.output / f"{name}.md", markdown(title, [*fibonacci, *gaussian, *methods], {}, notes))
     say.show(f"Wrote {workshop.output / name}.json, .md, .png ({described(about)})")
-    return json.loads(json.dumps(content))
+    return content
 
 
-def _with_starts(count: int) -> PlannerConfig:
+def _with_starts(config: PlannerConfig, count: int) -> PlannerConfig:
     """A fifth of the starts above the object, at most the six of Table I, the rest on the quarter sphere."""
-    config = PlannerConfig()
     above = min(config.seeding.above, max(1, count // 5))
     return replace(config, seeding=replace(config.seeding, points=4 * (count - above), above=above))
 
 
-def _with_draws(count: int) -> PlannerConfig:
-    config = PlannerConfig()
+def _with_draws(config: PlannerConfig, count: int) -> PlannerConfig:
     return replace(config, seeding=replace(config.seeding, points=count))
 
 
-def _with_method(method: Method) -> PlannerConfig:
-    config = PlannerConfig()
+def _with_method(config: PlannerConfig, method: Method) -> PlannerConfig:
     return replace(config, matching=replace(config.matching, method=method))
 
 

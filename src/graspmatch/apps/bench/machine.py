@@ -15,7 +15,7 @@ def machine() -> dict[str, str]:
     """Where and of what the figures are."""
     return {
         "processor": _processor(),
-        "cores": str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()),
+        "cores": str(usable_cores()),
         "python": platform.python_version(),
         "warp": version("warp-lang"),
         "mujoco": version("mujoco"),
@@ -30,6 +30,11 @@ def described(about: dict[str, str]) -> str:
         f"graspmatch {about['graspmatch']} at commit {about['commit']}, {about['processor']}, {about['cores']} cores, "
         f"MuJoCo {about['mujoco']}, Warp {about['warp']}"
     )
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _processor() -> str:

@@ -27,7 +27,10 @@ def read_records(path: Path, header: dict[str, Any]) -> list[Trial]:
             f"{path} holds trials with other settings ({', '.join(different) or 'no header'}). "
             "Begin anew with --fresh, or write elsewhere with --output."
         )
-    return [Trial(**entry) for entry in map(_parsed, lines) if entry is not None]
+    try:
+        return [Trial(**entry) for entry in map(_parsed, lines) if entry is not None]
+    except TypeError as error:
+        raise GraspmatchError(f"{path} holds trials of another version. Begin anew with --fresh.") from error
 
 
 def recorded(trials: Iterable[Trial], path: Path, header: dict[str, Any], *, done: int) -> Iterator[Trial]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from inspect import isfunction
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from graspmatch.apps.bench.machine import machine
 from graspmatch.apps.bench.objects import ObjectSource
 from graspmatch.apps.bench.records import read_records, recorded
 from graspmatch.apps.bench.trials import Job, Planner, Trial, TrialConfig, run_trials
@@ -68,17 +70,20 @@ def run_benchmark(benchmark: Benchmark, workshop: Workshop) -> list[Trial]:
 
 def _header(benchmark: Benchmark) -> dict[str, Any]:
     """What the results depend on, as JSON reads it back. The number of trials is not of it: more can be added."""
+    from graspmatch.gripper.description import content_hash
     from graspmatch.gripper.kinematics import load_hand
     from graspmatch.gripper.zoo import card_path
 
     settings = asdict(benchmark.config)
     del settings["trials"]
-    hand = load_hand(card_path(benchmark.gripper), benchmark.description)
+    hand, planner, about = load_hand(card_path(benchmark.gripper), benchmark.description), benchmark.planner, machine()
     header = {
         "gripper": hand.card.name,
-        "description": hand.description.path.name,
-        "planner": repr(benchmark.planner),
+        "gripper_hash": content_hash(hand.card, hand.description),
+        "planner": f"{planner.__module__}.{planner.__qualname__}" if isfunction(planner) else repr(planner),
         "settings": settings,
+        "objects": {source.name: source.content_hash() for source in benchmark.sources},
+        "versions": {name: about[name] for name in ("graspmatch", "commit", "mujoco", "warp")},
     }
     return json.loads(json.dumps(header))
 

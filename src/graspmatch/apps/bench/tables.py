@@ -49,8 +49,9 @@ def rich_table(title: str, rows: Sequence[Row], published: Published) -> Table:
     table = Table(title=title, title_justify="left")
     for heading in HEADINGS:
         table.add_column(heading, justify="left" if heading in ("object", "failures") else "right")
-    for row in rows:
-        table.add_row(*cells(row, published), end_section=row is rows[-2] if len(rows) > 1 else False)
+    for index, row in enumerate(rows):
+        is_last_object = index + 1 < len(rows) and rows[index + 1].name == "mean"
+        table.add_row(*cells(row, published), end_section=is_last_object)
     return table
 
 
@@ -61,7 +62,7 @@ def markdown(title: str, rows: Sequence[Row], published: Published, notes: Seque
     return "\n".join([f"# {title}", "", *head, *body, "", *(f"- {note}" for note in notes), ""])
 
 
-def notes_on(about: dict[str, str], settings: dict[str, Any], extra: Sequence[str] = ()) -> list[str]:
+def notes_on(about: dict[str, str], settings: dict[str, Any], processes: int, extra: Sequence[str] = ()) -> list[str]:
     """What a reader must know of the figures: protocol, friction, mass, seed, machine."""
     lift = settings["lift"]
     mass = "300 kg/m3, 50 to 500 g" if lift["mass"] is None else f"{1000 * lift['mass']:.0f} g"
@@ -69,7 +70,8 @@ def notes_on(about: dict[str, str], settings: dict[str, Any], extra: Sequence[st
     return [
         f"Protocol `lift` version 1: friction {lift['friction']:g}, mass {mass}, pose error {error}, "
         f"seed {settings['seed']}; only the top-ranked grasp of each plan is tried.",
-        "The mean is over the objects' rates, its interval over all trials; times are medians on one process.",
+        "The mean is over the objects' rates, its interval over all trials. Times are medians, with "
+        f"{processes} trial{'s' * (processes != 1)} at a time on all cores.",
         described(about),
         *extra,
     ]

@@ -15,8 +15,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from graspmatch.apps.bench.machine import usable_cores
 from graspmatch.apps.bench.objects import ObjectSource
 from graspmatch.config import LiftConfig, PlannerConfig
+from graspmatch.errors import GraspmatchError
 from graspmatch.geometry import se3
 from graspmatch.geometry.mesh import transformed
 from graspmatch.scene.scene import Scene
@@ -104,7 +106,7 @@ def run_trials(jobs: Iterable[Job], *, processes: int) -> Iterator[Trial]:
         return
     # Fresh interpreters with one thread each: the cores are shared out among processes.
     context = get_context("spawn")
-    threads = str(max(1, (os.cpu_count() or 1) // processes))
+    threads = str(max(1, usable_cores() // processes))
     with ProcessPoolExecutor(processes, context, initializer=_use_threads, initargs=(threads,)) as pool:
         futures = [pool.submit(run_trial, job) for job in jobs]
         try:
@@ -129,10 +131,13 @@ def run_trial(job: Job) -> Trial:
     error = _pose_error(rng, job.config)
     scene = Scene.from_mesh(transformed(settled.target.mesh, T_world_object), table=0.0)
     begin = time.perf_counter()
-    grasps = job.planner(scene, gripper, planner_seed)
+    try:
+        grasps, reason = job.planner(scene, gripper, planner_seed), NO_GRASP
+    except GraspmatchError as error:  # one object that a planner refuses does not end the benchmark
+        grasps, reason = None, f"refused: {error}"
     planned = time.perf_counter() - begin
-    if not len(grasps):
-        return Trial(name, job.trial, False, NO_GRASP, planned, 0.0, 0, "", None, 0.0, 0.0)
+    if not grasps:
+        return Trial(name, job.trial, False, reason, planned, 0.0, 0, "", None, 0.0, 0.0)
     verdict = try_grasp(world, _displaced(grasps, error), 0, T_world_object, job.config.lift)
     preshape = int(grasps.preshape[0])
     return Trial(

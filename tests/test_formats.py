@@ -43,6 +43,7 @@ def random_grasps(n: int, seed: int = 0) -> GraspSet:
         clearance=rng.random(n) * 1e-6,
         matching_error=rng.random(n),
         loss=rng.random(n),
+        quality=rng.random(n),
         fingers_touching=rng.integers(0, 3, n),
         tally={"candidates": n + 5, "in collision with the table": 5},
         provenance=Provenance("hand", "abc", '{"seed": 7}', 7, "cpu", "0.1.0", "mug.stl", {"match": 0.25}),

@@ -50,6 +50,7 @@ def grasps_of(gripper: Gripper, n: int = 12) -> GraspSet:
         clearance=np.zeros(n),
         matching_error=np.zeros(n),
         loss=np.zeros(n),
+        quality=np.zeros(n),
         fingers_touching=np.full(n, 2),
         tally={"candidates": n},
         provenance=Provenance(gripper.name, gripper.content_hash, "", 0, "cpu", "0", "", {}),

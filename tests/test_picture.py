@@ -284,6 +284,7 @@ def grasps_from_above(n: int) -> GraspSet:
         clearance=np.full(n, 0.01),
         matching_error=np.full(n, 1e-6),
         loss=np.full(n, 1e-6),
+        quality=np.full(n, 1e-6),
         fingers_touching=np.full(n, 2),
         tally={"candidates": n},
         provenance=Provenance("blocks", "", "{}", 0, "cpu", "0"),

@@ -51,6 +51,7 @@ def grasp_set(
         clearance=np.full(n, np.nan),
         matching_error=np.full(n, np.nan),
         loss=np.full(n, np.nan),
+        quality=np.full(n, np.nan),
         fingers_touching=touching[order],
         tally=dict(tally),
         provenance=Provenance(

@@ -32,6 +32,7 @@ from graspmatch.kernels.launch import resolve_device, thread_count
 from graspmatch.planner.avoid import keep_free
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.close import close_fingers
+from graspmatch.planner.grip import grade, touchable
 from graspmatch.planner.match import annealing, batch_share, full_batch_from, mini_batch, stein_phase
 from graspmatch.planner.plan import grasp_set
 from graspmatch.planner.rank import rank
@@ -64,7 +65,9 @@ def torch_plan(scene: Scene, gripper: Gripper, seed: int, *, device: str = "cpu"
     watch.lap("close")
     final = Candidates(closed.matched_preshape, closed.T_world_gripper)
     error, loss = torch_measure(final, problem, config.matching)
-    order = rank(closed, loss, config.ranking, tally)
+    target = touchable(scene, config.grip, device)
+    graded = grade(closed, error, loss, target, gripper, config.grip, rng, device)
+    order = rank(graded, graded.confidence, config.ranking, tally)
     watch.lap("rank")
     provenance = Provenance(
         gripper=gripper.name,
@@ -76,7 +79,7 @@ def torch_plan(scene: Scene, gripper: Gripper, seed: int, *, device: str = "cpu"
         source=scene.source,
         seconds=watch.seconds,
     )
-    return grasp_set(closed.select(order), error[order], loss[order], gripper, tally, provenance)
+    return grasp_set(graded.select(order), gripper, tally, provenance)
 
 
 @dataclass(frozen=True)

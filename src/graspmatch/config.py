@@ -118,6 +118,30 @@ class ClosingConfig:
 
 
 @dataclass(frozen=True)
+class GripConfig:
+    """How the contacts of closed fingers are judged."""
+
+    friction: float = 0.3
+    """Sliding friction that a grasp may rely on: half of what rubber on wood or plastic has."""
+    torsional_friction: float = 0.005
+    """Torque about a contact's normal for each newton [m]."""
+    mass: float = 0.3
+    """Of an object whose weight must be carried [kg]."""
+    patch_depth: float = 0.002
+    """How near to a finger that touches more of the object must be, to count as touching too [m]."""
+    errors: int = 6
+    """Displacements of the hand over which a grasp's margin is averaged."""
+    position_error: float = 0.002
+    """Their standard deviation along each axis [m] ..."""
+    angle_error: float = math.radians(2.0)
+    """... and about each axis [rad]."""
+    promising: int = 80
+    """So many grasps are judged under displacements."""
+    points: int = 6000
+    """Of the object, at most so many."""
+
+
+@dataclass(frozen=True)
 class RankingConfig:
     """Which grasps come out."""
 
@@ -137,6 +161,7 @@ class PlannerConfig:
     matching: MatchingConfig = field(default_factory=MatchingConfig)
     collision: CollisionConfig = field(default_factory=CollisionConfig)
     closing: ClosingConfig = field(default_factory=ClosingConfig)
+    grip: GripConfig = field(default_factory=GripConfig)
     ranking: RankingConfig = field(default_factory=RankingConfig)
     seed: int = 0
     """The one integer that all randomness comes from."""
@@ -248,6 +273,15 @@ def check(config: PlannerConfig) -> None:
         ("collision.clearance", collision.clearance, 0, 0.02),
         ("collision.largest_retreat", collision.largest_retreat, 0, 0.15),
         ("closing.fewest_fingers", config.closing.fewest_fingers, 0, 100),
+        ("grip.friction", config.grip.friction, 0, 10),
+        ("grip.torsional_friction", config.grip.torsional_friction, 0, 1),
+        ("grip.mass", config.grip.mass, 0, 100),
+        ("grip.patch_depth", config.grip.patch_depth, 0, 0.05),
+        ("grip.errors", config.grip.errors, 0, 1000),
+        ("grip.position_error", config.grip.position_error, 0, 0.1),
+        ("grip.angle_error", config.grip.angle_error, 0, 1),
+        ("grip.promising", config.grip.promising, 1, 1e6),
+        ("grip.points", config.grip.points, 1, 1e6),
         ("ranking.count", config.ranking.count, 1, 1e6),
         ("ranking.distinct_distance", config.ranking.distinct_distance, 0, 10),
         ("ranking.distinct_angle", config.ranking.distinct_angle, 0, 7),

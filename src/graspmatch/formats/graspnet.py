@@ -120,6 +120,7 @@ def read_graspnet(path: Path, gripper: Gripper) -> GraspSet:
         clearance=unknown,
         matching_error=unknown,
         loss=unknown,
+        quality=unknown,
         fingers_touching=np.full(len(rows), -1),
         tally={"candidates": len(rows)},
         provenance=Provenance(gripper.name, gripper.content_hash, "", seed=0, device="", version="", source=str(path)),

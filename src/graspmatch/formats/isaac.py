@@ -20,8 +20,8 @@ from graspmatch.types import GraspSet, Provenance
 
 Document = dict[str, Any]
 
-NUMBERS = ("clearance", "matching_error", "loss")
-"""What is known of a grasp beyond the format [m, m2, m2]."""
+NUMBERS = ("quality", "clearance", "matching_error", "loss")
+"""What is known of a grasp beyond the format [1, m, m2, m2]."""
 
 
 def write_isaac(grasps: GraspSet, gripper_frame: str, path: Path) -> None:

@@ -62,3 +62,19 @@ class Closed(Free):
     closing_fraction: Float[Array, "n f"]
     """Where on its closing motion each finger first meets the object; above 1 where it never does."""
     grasp_joints: Float[Array, "n d"]
+
+
+@dataclass(frozen=True)
+class Graded(Closed):
+    """After judging what the closed fingers hold."""
+
+    error: Float[Array, "n"]
+    """Eq. (14) of the matched preshape at the final pose [m2]."""
+    final_loss: Float[Array, "n"]
+    """Eq. (13) there [m2]."""
+    margin: Float[Array, "n"]
+    """Smallest wrench that is not resisted; see `grip.margins`."""
+    robust_margin: Float[Array, "n"]
+    """Its mean over small errors of the pose."""
+    confidence: Float[Array, "n"]
+    """Share of such grasps that hold in simulation."""

@@ -13,8 +13,9 @@ from graspmatch.config import PlannerConfig, check
 from graspmatch.geometry import se3
 from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.avoid import keep_free
-from graspmatch.planner.candidates import Candidates, Closed
+from graspmatch.planner.candidates import Candidates, Graded
 from graspmatch.planner.close import close_fingers
+from graspmatch.planner.grip import grade, touchable
 from graspmatch.planner.match import match, measure, prepare
 from graspmatch.planner.rank import rank
 from graspmatch.planner.seed import pose_seeds, seed_poses
@@ -61,7 +62,10 @@ def plan(
     closed = close_fingers(free, scene, gripper, config.closing, device, tally)  # contacts and joint values
     watch.lap("close")
     error, loss = measure(Candidates(closed.matched_preshape, closed.T_world_gripper), problem)
-    order = rank(closed, loss, config.ranking, tally)
+    target = touchable(scene, config.grip, device)
+    graded = grade(closed, error, loss, target, gripper, config.grip, rng, device)  # wrench margins under pose errors
+    watch.lap("grade")
+    order = rank(graded, graded.confidence, config.ranking, tally)
     watch.lap("rank")
     provenance = Provenance(
         gripper=gripper.name,
@@ -73,13 +77,11 @@ def plan(
         source=scene.source,
         seconds=watch.seconds,
     )
-    return grasp_set(closed.select(order), error[order], loss[order], gripper, tally, provenance)
+    return grasp_set(graded.select(order), gripper, tally, provenance)
 
 
 def grasp_set(
-    closed: Closed,
-    error: Float[np.ndarray, "n"],
-    loss: Float[np.ndarray, "n"],
+    graded: Graded,
     gripper: Gripper,
     tally: Tally,
     provenance: Provenance,
@@ -90,24 +92,21 @@ def grasp_set(
     return GraspSet(
         joint_names=gripper.joint_names,
         preshape_names=tuple(preshape.name for preshape in gripper.preshapes),
-        T_world_gripper=closed.T_world_gripper,
-        T_world_pregrasp=closed.T_world_gripper @ back,
-        preshape=closed.preshape,
-        pregrasp_joints=pregrasp[closed.preshape],
-        grasp_joints=closed.grasp_joints,
-        score=np.exp(-np.sqrt(loss) / LOSS_SCALE),
-        clearance=closed.clearance,
-        matching_error=error,
-        loss=loss,
-        fingers_touching=np.sum(closed.closing_fraction <= 1, axis=-1),
+        T_world_gripper=graded.T_world_gripper,
+        T_world_pregrasp=graded.T_world_gripper @ back,
+        preshape=graded.preshape,
+        pregrasp_joints=pregrasp[graded.preshape],
+        grasp_joints=graded.grasp_joints,
+        score=graded.confidence,
+        quality=graded.robust_margin,
+        clearance=graded.clearance,
+        matching_error=graded.error,
+        loss=graded.final_loss,
+        fingers_touching=np.sum(graded.closing_fraction <= 1, axis=-1),
         tally=tally.counts,
         provenance=provenance,
-        advice="" if len(closed) else advice(tally, gripper),
+        advice="" if len(graded) else advice(tally, gripper),
     )
-
-
-LOSS_SCALE = 0.05
-"""Root of the loss [m] at which the score has fallen to 1/e: half a hand's width."""
 
 
 def advice(tally: Tally, gripper: Gripper) -> str:

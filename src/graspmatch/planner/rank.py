@@ -1,4 +1,4 @@
-"""Ranking by the paper's loss, and keeping the results apart."""
+"""Ranking by confidence, and keeping the results apart."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from graspmatch.planner.tally import Tally
 
 
 def rank(
-    candidates: Candidates, loss: Float[np.ndarray, "n"], config: RankingConfig, tally: Tally
+    candidates: Candidates, worth: Float[np.ndarray, "n"], config: RankingConfig, tally: Tally
 ) -> Int[np.ndarray, "k"]:
-    """Indices of the best distinct candidates, lowest loss first."""
-    order = np.lexsort((np.arange(len(candidates)), loss))
+    """Indices of the best distinct candidates, the worthiest first."""
+    order = np.lexsort((np.arange(len(candidates)), -worth))
     kept: list[int] = []
     doubles = 0
     for index in order:

@@ -32,7 +32,8 @@ from graspmatch.kernels.launch import resolve_device, thread_count
 from graspmatch.planner.avoid import keep_free
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.close import close_fingers
-from graspmatch.planner.grip import grade, touchable
+from graspmatch.planner.contacts import touchable
+from graspmatch.planner.grip import grade
 from graspmatch.planner.match import annealing, batch_share, full_batch_from, mini_batch, stein_phase
 from graspmatch.planner.plan import grasp_set
 from graspmatch.planner.rank import rank
@@ -65,8 +66,8 @@ def torch_plan(scene: Scene, gripper: Gripper, seed: int, *, device: str = "cpu"
     watch.lap("close")
     final = Candidates(closed.matched_preshape, closed.T_world_gripper)
     error, loss = torch_measure(final, problem, config.matching)
-    target = touchable(scene, config.grip, device)
-    graded = grade(closed, error, loss, target, gripper, config.grip, rng, device)
+    target, coarse = (touchable(scene, n, device) for n in (config.grip.points, config.grip.coarse_points))
+    graded = grade(closed, error, loss, target, coarse, gripper, config.grip, rng, device)
     order = rank(graded, graded.confidence, config.ranking, tally)
     watch.lap("rank")
     provenance = Provenance(

@@ -129,16 +129,18 @@ class GripConfig:
     """Of an object whose weight must be carried [kg]."""
     patch_depth: float = 0.002
     """How near to a finger that touches more of the object must be, to count as touching too [m]."""
+    palm_reach: float = 0.025
+    """Fingers pull an object that is nearer to the palm than this against it [m]."""
     errors: int = 6
     """Displacements of the hand over which a grasp's margin is averaged."""
     position_error: float = 0.002
     """Their standard deviation along each axis [m] ..."""
     angle_error: float = math.radians(2.0)
     """... and about each axis [rad]."""
-    promising: int = 80
-    """So many grasps are judged under displacements."""
-    points: int = 6000
-    """Of the object, at most so many."""
+    points: int = 4000
+    """Of the object, at most so many ..."""
+    coarse_points: int = 1500
+    """... and so many to find out where the fingers push it."""
 
 
 @dataclass(frozen=True)
@@ -277,10 +279,11 @@ def check(config: PlannerConfig) -> None:
         ("grip.torsional_friction", config.grip.torsional_friction, 0, 1),
         ("grip.mass", config.grip.mass, 0, 100),
         ("grip.patch_depth", config.grip.patch_depth, 0, 0.05),
+        ("grip.palm_reach", config.grip.palm_reach, 0, 1),
         ("grip.errors", config.grip.errors, 0, 1000),
         ("grip.position_error", config.grip.position_error, 0, 0.1),
         ("grip.angle_error", config.grip.angle_error, 0, 1),
-        ("grip.promising", config.grip.promising, 1, 1e6),
+        ("grip.coarse_points", config.grip.coarse_points, 1, 1e6),
         ("grip.points", config.grip.points, 1, 1e6),
         ("ranking.count", config.ranking.count, 1, 1e6),
         ("ranking.distinct_distance", config.ranking.distinct_distance, 0, 10),

@@ -9,7 +9,7 @@ length.
 import warp as wp
 
 from graspmatch.kernels.warp_avoid import arrival_at
-from graspmatch.kernels.warp_fields import NEVER, FieldStack, is_inside, low_node, node_units
+from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_inside, low_node, node_units
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -73,6 +73,93 @@ def across(n: wp.vec3) -> wp.vec3:
     return wp.normalize(wp.cross(n, hint))
 
 
+@wp.func
+def spread_patch(
+    i: int,
+    f: int,
+    start: int,
+    tolerance: float,
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    p: wp.vec3,
+    q: wp.quat,
+    excess: wp.array3d(dtype=wp.float32),
+    point_out: wp.array3d(dtype=wp.vec3),
+    push_out: wp.array3d(dtype=wp.vec3),
+) -> int:
+    """Of the points whose excess is within the tolerance, `start` and those farthest from it along two axes."""
+    x0 = wp.quat_rotate_inv(q, points[start] - p)
+    n0 = -wp.quat_rotate_inv(q, normals[start])
+    point_out[i, f, 0] = x0
+    push_out[i, f, 0] = n0
+    count = int(1)
+    a = across(n0)
+    b = wp.cross(n0, a)
+    reach = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    corner = wp.vec4i(start, start, start, start)
+    for c in range(points.shape[0]):
+        if excess[i, f, c] <= tolerance:
+            x = wp.quat_rotate_inv(q, points[c] - p)
+            along = wp.vec2(wp.dot(x - x0, a), wp.dot(x - x0, b))
+            for s in range(4):
+                value = along[s // 2] * wp.where(s % 2 == 0, 1.0, -1.0)
+                if value > reach[s]:
+                    reach[s] = value
+                    corner[s] = c
+    for s in range(4):
+        is_new = corner[s] != start
+        for r in range(s):
+            is_new = is_new and corner[r] != corner[s]
+        if is_new:
+            point_out[i, f, count] = wp.quat_rotate_inv(q, points[corner[s]] - p)
+            push_out[i, f, count] = -wp.quat_rotate_inv(q, normals[corner[s]])
+            count += 1
+    return count
+
+
+@wp.kernel
+def find_palm_contacts(
+    first: int,
+    palm: int,
+    distance: FieldStack,
+    pivot: wp.array(dtype=wp.vec3),
+    approach: wp.vec3,
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    facing: float,
+    reach: float,
+    tolerance: float,
+    preshape_in: wp.array(dtype=wp.int32),
+    position_in: wp.array(dtype=wp.vec3),
+    rotation_in: wp.array(dtype=wp.quat),
+    excess: wp.array3d(dtype=wp.float32),
+    count_out: wp.array2d(dtype=wp.int32),
+    point_out: wp.array3d(dtype=wp.vec3),
+    push_out: wp.array3d(dtype=wp.vec3),
+):
+    """Where the object would lie against the palm if the fingers pulled it in: of the points that face against the
+    approach, if any is within `reach` [m] of the hand, the patch within `tolerance` [m] of the nearest."""
+    i = first + wp.tid()
+    q = rotation_in[i]
+    p = position_in[i]
+    g = preshape_in[i]
+    nearest = float(1.0e30)
+    start = int(-1)
+    for c in range(points.shape[0]):
+        gap = float(1.0e30)
+        if wp.dot(wp.quat_rotate_inv(q, normals[c]), approach) < -facing:
+            gap = interpolate(distance, g, wp.quat_rotate_inv(q, points[c] - p) - pivot[g])
+        excess[i, palm, c] = gap
+        if gap < nearest:
+            nearest = gap
+            start = c
+    count_out[i, palm] = 0
+    if nearest <= reach:
+        for c in range(points.shape[0]):
+            excess[i, palm, c] = excess[i, palm, c] - nearest
+        count_out[i, palm] = spread_patch(i, palm, start, tolerance, points, normals, p, q, excess, point_out, push_out)
+
+
 @wp.kernel
 def find_contacts(
     first: int,
@@ -84,7 +171,7 @@ def find_contacts(
     preshape_in: wp.array(dtype=wp.int32),
     position_in: wp.array(dtype=wp.vec3),
     rotation_in: wp.array(dtype=wp.quat),
-    reached: wp.array3d(dtype=wp.float32),
+    excess: wp.array3d(dtype=wp.float32),
     fraction_out: wp.array2d(dtype=wp.float32),
     count_out: wp.array2d(dtype=wp.int32),
     point_out: wp.array3d(dtype=wp.vec3),
@@ -93,7 +180,8 @@ def find_contacts(
     """For each finger the fraction at which it first touches, and up to CORNERS contacts of its patch: of the points
     within `tolerance` [m] of its surface by then, the first and those farthest along two axes, both ways.
 
-    Points and pushes are in the gripper frame; a contact pushes against the object's normal. `reached` is scratch.
+    Points and pushes are in the gripper frame; a contact pushes against the object's normal. `excess` is scratch:
+    how far each point is from the finger's surface when that first touches.
     """
     i = first + wp.tid()
     q = rotation_in[i]
@@ -105,45 +193,22 @@ def find_contacts(
         x = wp.quat_rotate_inv(q, points[c] - p)
         for f in range(fingers):
             t = fraction_at(arrival, preshape_in[i] * fingers + f, x)
-            reached[i, f, c] = t
+            excess[i, f, c] = t
             if t < fraction_out[i, f]:
                 fraction_out[i, f] = t
                 count_out[i, f] = c  # for now, which point it is
     for f in range(fingers):
         start = count_out[i, f]
         earliest = fraction_out[i, f]
-        count = int(0)
+        count_out[i, f] = 0
         if earliest <= 1.0:
             g = preshape_in[i] * fingers + f
-            x0 = wp.quat_rotate_inv(q, points[start] - p)
-            n0 = -wp.quat_rotate_inv(q, normals[start])
-            point_out[i, f, 0] = x0
-            push_out[i, f, 0] = n0
-            count = 1
-            a = across(n0)
-            b = wp.cross(n0, a)
-            reach = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            corner = wp.vec4i(start, start, start, start)
-            for c in range(points.shape[0]):
-                t = reached[i, f, c]
-                if t <= 1.0:
-                    x = wp.quat_rotate_inv(q, points[c] - p)
-                    if t - earliest <= tolerance * slowness(arrival, g, x):
-                        along = wp.vec2(wp.dot(x - x0, a), wp.dot(x - x0, b))
-                        for s in range(4):
-                            value = along[s // 2] * wp.where(s % 2 == 0, 1.0, -1.0)
-                            if value > reach[s]:
-                                reach[s] = value
-                                corner[s] = c
-            for s in range(4):
-                is_new = corner[s] != start
-                for r in range(s):
-                    is_new = is_new and corner[r] != corner[s]
-                if is_new:
-                    point_out[i, f, count] = wp.quat_rotate_inv(q, points[corner[s]] - p)
-                    push_out[i, f, count] = -wp.quat_rotate_inv(q, normals[corner[s]])
-                    count += 1
-        count_out[i, f] = count
+            for c in range(points.shape[0]):  # from fractions to distances
+                late = excess[i, f, c] - earliest
+                if late < 1.0:
+                    late = late / wp.max(slowness(arrival, g, wp.quat_rotate_inv(q, points[c] - p)), 1.0e-3)
+                excess[i, f, c] = late
+            count_out[i, f] = spread_patch(i, f, start, tolerance, points, normals, p, q, excess, point_out, push_out)
 
 
 @wp.struct
@@ -161,7 +226,7 @@ class Grip:
     torsion: wp.float32
     """Torsional friction [m], divided by `length`."""
     most: wp.float32
-    """A finger on the object presses with 1 to `most` times its rated force."""
+    """A finger on the object presses with 1 to `most` times its rated force, the palm with 0 to `most` times."""
 
 
 @wp.func
@@ -200,6 +265,9 @@ def farthest_wrench(
         if grip.count[i, f] > 0:
             w = finger_wrench(grip, i, f, d)
             total += wp.where(wp.dot(w, d) > 0.0, grip.most, 1.0) * w
+    if grip.count[i, fingers] > 0:
+        w = finger_wrench(grip, i, fingers, d)
+        total += wp.where(wp.dot(w, d) > 0.0, grip.most, 0.0) * w
     return total
 
 

@@ -72,9 +72,9 @@ class Graded(Closed):
     """Eq. (14) of the matched preshape at the final pose [m2]."""
     final_loss: Float[Array, "n"]
     """Eq. (13) there [m2]."""
-    margin: Float[Array, "n"]
-    """Smallest wrench that is not resisted; see `grip.margins`."""
+    pushed: Float[Array, "n"]
+    """How far the closing fingers push the object before they balance [m]."""
     robust_margin: Float[Array, "n"]
-    """Its mean over small errors of the pose."""
+    """Smallest wrench that is not resisted there, the mean over small errors of the pose; see `grip.margins`."""
     confidence: Float[Array, "n"]
     """Share of such grasps that hold in simulation."""

@@ -15,7 +15,8 @@ from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.avoid import keep_free
 from graspmatch.planner.candidates import Candidates, Graded
 from graspmatch.planner.close import close_fingers
-from graspmatch.planner.grip import grade, touchable
+from graspmatch.planner.contacts import touchable
+from graspmatch.planner.grip import grade
 from graspmatch.planner.match import match, measure, prepare
 from graspmatch.planner.rank import rank
 from graspmatch.planner.seed import pose_seeds, seed_poses
@@ -62,8 +63,8 @@ def plan(
     closed = close_fingers(free, scene, gripper, config.closing, device, tally)  # contacts and joint values
     watch.lap("close")
     error, loss = measure(Candidates(closed.matched_preshape, closed.T_world_gripper), problem)
-    target = touchable(scene, config.grip, device)
-    graded = grade(closed, error, loss, target, gripper, config.grip, rng, device)  # wrench margins under pose errors
+    target, coarse = (touchable(scene, n, device) for n in (config.grip.points, config.grip.coarse_points))
+    graded = grade(closed, error, loss, target, coarse, gripper, config.grip, rng, device)  # slide, wrench margins
     watch.lap("grade")
     order = rank(graded, graded.confidence, config.ranking, tally)
     watch.lap("rank")

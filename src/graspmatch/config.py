@@ -137,10 +137,24 @@ class GripConfig:
     """Their standard deviation along each axis [m] ..."""
     angle_error: float = math.radians(2.0)
     """... and about each axis [rad]."""
-    points: int = 4000
+    points: int = 3000
     """Of the object, at most so many ..."""
-    coarse_points: int = 1500
+    coarse_points: int = 1000
     """... and so many to find out where the fingers push it."""
+
+
+@dataclass(frozen=True)
+class RefiningConfig:
+    """Moving the best grasps a little where that makes them surer."""
+
+    count: int = 6
+    """So many of them; 0: none."""
+    rounds: int = 2
+    """Steps of the search."""
+    step: float = 0.006
+    """First step along each axis [m] ..."""
+    angle: float = math.radians(8.0)
+    """... and about it [rad]."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +178,7 @@ class PlannerConfig:
     collision: CollisionConfig = field(default_factory=CollisionConfig)
     closing: ClosingConfig = field(default_factory=ClosingConfig)
     grip: GripConfig = field(default_factory=GripConfig)
+    refining: RefiningConfig = field(default_factory=RefiningConfig)
     ranking: RankingConfig = field(default_factory=RankingConfig)
     seed: int = 0
     """The one integer that all randomness comes from."""
@@ -285,6 +300,10 @@ def check(config: PlannerConfig) -> None:
         ("grip.angle_error", config.grip.angle_error, 0, 1),
         ("grip.coarse_points", config.grip.coarse_points, 1, 1e6),
         ("grip.points", config.grip.points, 1, 1e6),
+        ("refining.count", config.refining.count, 0, 1e6),
+        ("refining.rounds", config.refining.rounds, 0, 1e3),
+        ("refining.step", config.refining.step, 0, 0.1),
+        ("refining.angle", config.refining.angle, 0, 2),
         ("ranking.count", config.ranking.count, 1, 1e6),
         ("ranking.distinct_distance", config.ranking.distinct_distance, 0, 10),
         ("ranking.distinct_angle", config.ranking.distinct_angle, 0, 7),

@@ -1,4 +1,5 @@
 """The paper's equations in NumPy, float64, one particle at a time, written to be read: the definition of right.
+And what contacts can hold (Ferrari and Canny 1992), by three independent methods.
 
 theta is (t, q): t the position of the origin of the samples [m], q the unit quaternion wxyz. Samples s are in the frame
 that theta poses, targets r in the object frame. Gradients are half those of the losses, as the paper writes them.
@@ -6,8 +7,12 @@ that theta poses, targets r in the object frame. Gradients are half those of the
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.optimize import nnls
+from scipy.spatial import ConvexHull
 
 from graspmatch.geometry import se3
 
@@ -171,3 +176,120 @@ def align(samples: Float[Array, "n 3"], paired: Float[Array, "n 3"], weights: Fl
     U, _, Vt = np.linalg.svd((w[:, None] * (paired - goal)).T @ (samples - source))
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt
     return se3.from_parts(R, goal - R @ source)
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Contacts of one grasp. Forces are in units of one finger's force, torques and lengths are divided by a length.
+
+    Contact c belongs to what presses, `presser[c]`, which shares out a force from `least` to `most` among its contacts.
+    A contact with the normal force N adds a force t across its normal and a torque m about it, as far as
+    |t|^2 / friction^2 + m^2 / torsion^2 <= N^2.
+    """
+
+    presser: Int[Array, "c"]
+    arm: Float[Array, "c 3"]
+    """From the centre of mass."""
+    push: Float[Array, "c 3"]
+    """Unit vectors against the object's normals."""
+    least: Float[Array, "p"]
+    most: Float[Array, "p"]
+    friction: float
+    torsion: float
+    load: Float[Array, "3"]
+    """Force at the centre of mass."""
+
+
+def contact_wrenches(grip: Grip, d: Float[Array, "k 6"]) -> Float[Array, "k c 6"]:
+    """Of each contact with unit normal force, the wrench that goes farthest along each d: the section of the friction
+    cone is an ellipsoid around the wrench of the normal force."""
+    across = np.cross(grip.push, np.eye(3)[np.argmin(np.abs(grip.push), axis=-1)])
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    force = np.stack([across, np.cross(grip.push, across)], axis=1) * grip.friction
+    slides = np.concatenate([force, np.cross(grip.arm[:, None], force)], axis=-1)
+    twist = np.concatenate([np.zeros_like(grip.push), grip.torsion * grip.push], axis=-1)
+    axes = np.concatenate([slides, twist[:, None]], axis=1)
+    along = np.einsum("cai,ki->kca", axes, d)
+    along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
+    centre = np.concatenate([grip.push, np.cross(grip.arm, grip.push)], axis=-1)
+    return centre + np.einsum("cai,kca->kci", axes, along)
+
+
+def farthest_wrenches(grip: Grip, d: Float[Array, "k 6"]) -> Float[Array, "k 6"]:
+    """Of all wrenches on the object, the load included, one that goes farthest along each d."""
+    wrenches = contact_wrenches(grip, d)
+    gain = np.einsum("kci,ki->kc", wrenches, d)
+    total = np.tile(np.concatenate([grip.load, np.zeros(3)]), (len(d), 1))
+    for p in np.unique(grip.presser):
+        own = np.flatnonzero(grip.presser == p)
+        best = own[np.argmax(gain[:, own], axis=-1), None]
+        force = np.where(np.take_along_axis(gain, best, axis=1) > 0, grip.most[p], grip.least[p])
+        total += force * np.take_along_axis(wrenches, best[..., None], axis=1)[:, 0]
+    return total
+
+
+def wrench_margin(grip: Grip, rng: np.random.Generator, directions: int = 4000, steps: int = 300) -> float:
+    """Smallest wrench that is not resisted; below zero, the smallest that is missing for balance: the least support of
+    the set of wrenches over all unit vectors, by trying many and going down from the best. An upper bound."""
+    d = np.concatenate([np.eye(6), -np.eye(6), rng.normal(size=(directions, 6))])
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    support = np.sum(farthest_wrenches(grip, d) * d, axis=-1)
+    least, d = float(support.min()), d[np.argsort(support)[:50]]
+    for step in 0.3 * 0.98 ** np.arange(steps):
+        wrench = farthest_wrenches(grip, d)
+        support = np.sum(wrench * d, axis=-1, keepdims=True)
+        least = min(least, float(support.min()))
+        slope = wrench - support * d
+        d = d - step * slope / (1 + np.linalg.norm(slope, axis=-1, keepdims=True))
+        d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    return least
+
+
+def missing_wrench(grip: Grip, tolerance: float = 1e-6) -> float:
+    """Length of the shortest wrench that the contacts and the load can add up to: zero in balance, else -margin.
+
+    By non-negative least squares over wrenches that contacts can exert; one that leads nearer is added to them until
+    the support along the remainder proves that there is none.
+    """
+    load, pressers = np.concatenate([grip.load, np.zeros(3)]), np.unique(grip.presser)
+    columns, owner = np.zeros((0, 6)), np.zeros(0, dtype=int)
+    d = np.concatenate([np.eye(6), -np.eye(6)])
+    stiff = 1e4  # weight of the rule that what each presser exerts is a mean of its wrenches
+    for _ in range(1000):
+        wrenches = contact_wrenches(grip, d)
+        scaled = [wrenches * force[grip.presser][:, None] for force in (grip.least, grip.most)]
+        columns = np.concatenate([columns, *(w.reshape(-1, 6) for w in scaled)])
+        owner = np.concatenate([owner, *[np.tile(grip.presser, len(d))] * 2])
+        is_own = stiff * (owner == pressers[:, None])
+        share, _ = nnls(np.concatenate([columns.T, is_own]), np.concatenate([-load, np.full(len(pressers), stiff)]))
+        remainder = share @ columns + load
+        length = float(np.linalg.norm(remainder))
+        if length < tolerance:
+            return 0.0
+        d = -remainder[None] / length
+        if length + farthest_wrenches(grip, d)[0] @ d[0] < tolerance:
+            return length
+        columns, owner = columns[share > 0], owner[share > 0]
+    raise ArithmeticError(f"no proof after 1000 wrenches; {length} remain")
+
+
+def margin_bounds(grip: Grip, gap: float, rounds: int = 60) -> tuple[float, float]:
+    """Two numbers no farther apart than `gap` with the margin between them, where it is above zero.
+
+    The polytope of some wrenches that the grasp can exert is inside the set of all: the distance of its nearest facet
+    is a lower bound, the support of the set along that facet's normal an upper one. The nearest facets are moved out
+    until they meet.
+    """
+    d = np.concatenate([np.eye(6), -np.eye(6), np.random.default_rng(0).normal(size=(20, 6))])
+    wrenches = farthest_wrenches(grip, d)
+    lower, upper = -np.inf, np.inf
+    for _ in range(rounds):
+        facets = ConvexHull(wrenches, qhull_options="QJ Pp").equations  # joggled: symmetric grasps have flat corners
+        nearest = facets[np.argsort(-facets[:, -1])[:10]]
+        more = farthest_wrenches(grip, nearest[:, :6])
+        lower = float(-nearest[0, -1])
+        upper = min(upper, float(np.sum(more * nearest[:, :6], axis=-1).min()))
+        if upper - lower < gap:
+            return lower, upper
+        wrenches = np.concatenate([wrenches, more])
+    raise ArithmeticError(f"the margin is between {lower} and {upper}; no nearer after {rounds} rounds")

@@ -13,6 +13,8 @@ from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_in
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
+LATE = 0.25
+"""Closing fraction after a finger's first contact in which it goes much farther than a contact patch is deep."""
 CORNERS = 5
 """Contacts that stand for one finger's patch: where it touches first, and its corners."""
 
@@ -24,11 +26,8 @@ def node_value(stack: FieldStack, g: int, i: int, j: int, k: int) -> float:
 
 
 @wp.func
-def fraction_at(stack: FieldStack, g: int, x: wp.vec3) -> float:
-    """Closing fraction at which a finger covers x; `NEVER` where it does not."""
-    u = node_units(stack, g, x)
-    if not is_inside(u, stack.dims[g]):
-        return float(NEVER)
+def fraction_at(stack: FieldStack, g: int, u: wp.vec3) -> float:
+    """Closing fraction at which a finger covers a point inside its grid; `NEVER` where it does not."""
     if node_value(stack, g, int(u[0] + 0.5), int(u[1] + 0.5), int(u[2] + 0.5)) >= NEVER:
         return float(NEVER)  # as `arrival_at` says too, after more work
     low = low_node(u, stack.dims[g])
@@ -191,8 +190,12 @@ def find_contacts(
         count_out[i, f] = 0
     for c in range(points.shape[0]):
         x = wp.quat_rotate_inv(q, points[c] - p)
+        u = node_units(arrival, preshape_in[i] * fingers, x)  # all fingers of a preshape have one grid
+        inside = is_inside(u, arrival.dims[preshape_in[i] * fingers])
         for f in range(fingers):
-            t = fraction_at(arrival, preshape_in[i] * fingers + f, x)
+            t = float(NEVER)
+            if inside:
+                t = fraction_at(arrival, preshape_in[i] * fingers + f, u)
             excess[i, f, c] = t
             if t < fraction_out[i, f]:
                 fraction_out[i, f] = t
@@ -205,7 +208,7 @@ def find_contacts(
             g = preshape_in[i] * fingers + f
             for c in range(points.shape[0]):  # from fractions to distances
                 late = excess[i, f, c] - earliest
-                if late < 1.0:
+                if late < LATE:
                     late = late / wp.max(slowness(arrival, g, wp.quat_rotate_inv(q, points[c] - p)), 1.0e-3)
                 excess[i, f, c] = late
             count_out[i, f] = spread_patch(i, f, start, tolerance, points, normals, p, q, excess, point_out, push_out)

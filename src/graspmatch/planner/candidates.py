@@ -78,3 +78,7 @@ class Graded(Closed):
     """Smallest wrench that is not resisted there, the mean over small errors of the pose; see `grip.margins`."""
     confidence: Float[Array, "n"]
     """Share of such grasps that hold in simulation."""
+
+    def as_closed(self) -> Closed:
+        """Without the verdict."""
+        return Closed(**{entry.name: getattr(self, entry.name) for entry in fields(Closed)})

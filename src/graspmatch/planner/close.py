@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from graspmatch.config import ClosingConfig
 from graspmatch.kernels.launch import launch
@@ -21,6 +21,17 @@ def close_fingers(
     free: Free, scene: Scene, gripper: Gripper, config: ClosingConfig, device: str, tally: Tally
 ) -> Closed:
     """Candidates whose fingers meet the target before anything else, with the joint values at first contact."""
+    keep, fraction = meet_object(free, scene, gripper, config, device, tally)
+    free, fraction = free.select(keep), fraction[keep]
+    return Closed(
+        **vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free.preshape, fraction, gripper)
+    )
+
+
+def meet_object(
+    free: Free, scene: Scene, gripper: Gripper, config: ClosingConfig, device: str, tally: Tally
+) -> tuple[Bool[np.ndarray, "n"], Float[np.ndarray, "n f"]]:
+    """Whether the fingers meet the target before anything else, and the closing fraction at which each does."""
     fraction = contact_fractions(free, scene.target, scene, gripper, device)
     blocked = contact_fractions(free, scene.obstacles, scene, gripper, device)
     if scene.table is not None:
@@ -30,10 +41,7 @@ def close_fingers(
     )
     touching = np.sum(fraction <= 1, axis=-1)
     keep = reaches & tally.keep(touching >= config.fewest_fingers, "fingers that close on nothing", among=reaches)
-    free, fraction = free.select(keep), fraction[keep]
-    return Closed(
-        **vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free.preshape, fraction, gripper)
-    )
+    return keep, fraction
 
 
 def contact_fractions(

@@ -27,7 +27,7 @@ PALM_FACING = 0.7
 
 @dataclass(frozen=True)
 class Contacts:
-    """Where n candidates touch, gripper frame: up to c contacts of each of f fingers, and of the palm, which is last."""
+    """Where n candidates touch, gripper frame: up to c contacts of each of f fingers, and last of the palm."""
 
     fraction: Float[Array, "n f"]
     """Closing fraction at the first contact; 2 where there is none."""

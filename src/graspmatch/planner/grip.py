@@ -110,7 +110,7 @@ def confidence(
 
 LOSS_SCALE = 0.05
 """[m]"""
-CALIBRATION = (0.18, 1.84, -0.67, 0.171)
+CALIBRATION = (0.58, 1.79, -0.79, 0.155)
 """Offset, and weights of the robust margin, of the root of the loss and of the number of contacts."""
 
 

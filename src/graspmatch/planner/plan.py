@@ -13,12 +13,11 @@ from graspmatch.config import PlannerConfig, check
 from graspmatch.geometry import se3
 from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.avoid import keep_free
-from graspmatch.planner.candidates import Candidates, Graded
+from graspmatch.planner.candidates import Graded
 from graspmatch.planner.close import close_fingers
-from graspmatch.planner.contacts import touchable
-from graspmatch.planner.grip import grade
-from graspmatch.planner.match import match, measure, prepare
+from graspmatch.planner.match import match, prepare
 from graspmatch.planner.rank import rank
+from graspmatch.planner.refine import judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.stopwatch import Stopwatch
 from graspmatch.planner.tally import Tally
@@ -62,10 +61,11 @@ def plan(
     watch.lap("avoid")
     closed = close_fingers(free, scene, gripper, config.closing, device, tally)  # contacts and joint values
     watch.lap("close")
-    error, loss = measure(Candidates(closed.matched_preshape, closed.T_world_gripper), problem)
-    target, coarse = (touchable(scene, n, device) for n in (config.grip.points, config.grip.coarse_points))
-    graded = grade(closed, error, loss, target, coarse, gripper, config.grip, rng, device)  # slide, wrench margins
+    judge = judge_of(scene, gripper, problem, config, device)
+    graded = judge.grade(closed, rng)  # where the fingers push the object, what they hold there, how surely
     watch.lap("grade")
+    graded = refine(graded, judge, config.seed)
+    watch.lap("refine")
     order = rank(graded, graded.confidence, config.ranking, tally)
     watch.lap("rank")
     provenance = Provenance(

@@ -34,29 +34,33 @@ def slide(
     pushed = np.zeros((len(candidates), 3))
     if not len(candidates):
         return pushed
-    is_moving = np.ones(len(candidates), dtype=bool)
-    reached, touches = None, np.zeros((len(candidates), len(gripper.fingers)), dtype=bool)
+    moving = np.arange(len(candidates))
+    reached = np.zeros(len(candidates))
+    touches = np.ones((len(candidates), len(gripper.fingers)), dtype=bool)
     up_gripper = -target.down @ candidates.T_world_gripper[:, :3, :3]
     for _ in range(STEPS):
-        moved = Candidates(candidates.preshape, candidates.T_world_gripper @ se3.translation(-pushed))
-        contacts = contacts_of(moved, target, gripper, config, device)
+        T_world_gripper = candidates.T_world_gripper[moving] @ se3.translation(-pushed[moving])
+        contacts = contacts_of(
+            Candidates(candidates.preshape[moving], T_world_gripper), target, gripper, config, device
+        )
         fraction = contacts.fraction
-        if reached is None:
-            reached = fraction.min(axis=-1)
-        else:  # the fingers have followed the object
-            followed = np.minimum(np.where(touches, fraction, np.inf).min(axis=-1), 1.0)
-            reached = np.where(is_moving, np.maximum(reached, followed), reached)
-        touches = (fraction <= reached[:, None] + SLACK) & (fraction <= 1)
-        total = (finger_pushes(contacts) * touches[..., None]).sum(axis=1)
+        # The fingers that touch have followed the object; at first, all are on their way.
+        followed = np.minimum(np.where(touches[moving], fraction, np.inf).min(axis=-1), 1.0)
+        reached[moving] = np.maximum(reached[moving], followed)
+        touching = (fraction <= reached[moving, None] + SLACK) & (fraction <= 1)
+        touches[moving] = touching
+        total = (finger_pushes(contacts) * touching[..., None]).sum(axis=1)
         strength = np.linalg.norm(total, axis=-1)
-        count = touches.sum(axis=-1)
+        count = touching.sum(axis=-1)
         all_touch = (count > 1) & (count >= np.sum(fraction <= 1, axis=-1))
-        is_moving &= (strength > BALANCED) & (reached < 1) & ~all_touch
-        if not is_moving.any():
+        goes_on = (strength > BALANCED) & (reached[moving] < 1) & ~all_touch
+        moving = moving[goes_on]
+        if not len(moving):
             break
-        step = STEP * total / np.maximum(strength, 1e-9)[:, None]
-        step -= np.minimum(np.sum(step * up_gripper, axis=-1), 0.0)[:, None] * up_gripper  # the table is in the way
-        pushed += np.where(is_moving[:, None], step, 0.0)
+        step = STEP * total[goes_on] / strength[goes_on, None]
+        up = up_gripper[moving]
+        step -= np.minimum(np.sum(step * up, axis=-1), 0.0)[:, None] * up  # the table is in the way
+        pushed[moving] += step
     return pushed
 
 

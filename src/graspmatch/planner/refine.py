@@ -1,0 +1,128 @@
+"""The best grasps moved a little, as long as they get surer and stay free: hands get centred, contacts flush."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from graspmatch.config import PlannerConfig
+from graspmatch.geometry import se3
+from graspmatch.planner.avoid import Space, point_clearance, table_clearance, upload_space
+from graspmatch.planner.candidates import Candidates, Closed, Free, Graded
+from graspmatch.planner.close import contact_joints, meet_object
+from graspmatch.planner.contacts import Touchable, touchable
+from graspmatch.planner.grip import grade
+from graspmatch.planner.match import Problem, measure
+from graspmatch.planner.tally import Tally
+from graspmatch.scene.scene import Scene
+from graspmatch.types import Gripper
+
+Array = np.ndarray
+
+CLEAR_ENOUGH = 0.99
+"""Share of the wanted clearance that counts as it."""
+
+
+@dataclass(frozen=True)
+class Judge:
+    """All that is needed to judge a pose: scene, hand, and what was made of them."""
+
+    scene: Scene
+    gripper: Gripper
+    space: Space
+    problem: Problem
+    target: Touchable
+    coarse: Touchable
+    config: PlannerConfig
+    device: str
+
+    def grade(self, closed: Closed, rng: np.random.Generator, *, roughly: bool = False) -> Graded:
+        """Loss, wrench margin and confidence; roughly, from fewer points and under fewer errors."""
+        error, loss = measure(Candidates(closed.matched_preshape, closed.T_world_gripper), self.problem)
+        target, config = self.target, self.config.grip
+        if roughly:
+            target, config = self.coarse, replace(config, errors=(config.errors + 1) // 2)
+        return grade(closed, error, loss, target, self.coarse, self.gripper, config, rng, self.device)
+
+
+def judge_of(scene: Scene, gripper: Gripper, problem: Problem, config: PlannerConfig, device: str) -> Judge:
+    """What judging needs, made once for a plan."""
+    target, coarse = (touchable(scene, n, device) for n in (config.grip.points, config.grip.coarse_points))
+    return Judge(scene, gripper, upload_space(scene, gripper, device), problem, target, coarse, config, device)
+
+
+def refine(graded: Graded, judge: Judge, seed: int) -> Graded:
+    """All candidates, the best replaced by the surest of their neighbours that are free and close on the object.
+
+    Coordinate search: a step both ways along and about each axis of the hand through its tool centre point; steps are
+    halved where none of them helps. Every pose is judged under the same errors.
+    """
+    config = judge.config.refining
+    best = np.argsort(-graded.confidence, kind="stable")[: config.count]
+    current, scale = graded.select(best), np.ones(len(best))
+    current = judge.grade(current.as_closed(), np.random.default_rng(seed), roughly=True)
+    for _ in range(config.rounds if len(best) else 0):
+        tried, origin = neighbours(current, scale, judge)
+        tried, origin = free_neighbours(tried, origin, judge)
+        keep, fraction = meet_object(
+            tried, judge.scene, judge.gripper, judge.config.closing, judge.device, Tally(len(tried))
+        )
+        tried, origin, fraction = tried.select(keep), origin[keep], fraction[keep]
+        joints = contact_joints(tried.preshape, fraction, judge.gripper)
+        found = judge.grade(
+            Closed(**vars(tried), closing_fraction=fraction, grasp_joints=joints),
+            np.random.default_rng(seed),
+            roughly=True,
+        )
+        current, improved = surest(current, found, origin)
+        scale = np.where(improved, scale, scale / 2)
+    return replaced(graded, best, judge.grade(current.as_closed(), np.random.default_rng(seed)))
+
+
+def neighbours(graded: Graded, scale: Float[Array, "n"], judge: Judge) -> tuple[Graded, Int[Array, "m"]]:
+    """Twelve poses around each candidate, and which candidate each is of."""
+    n, config, tcp = len(graded), judge.config.refining, judge.gripper.tool_centre_point
+    signs = np.concatenate([np.eye(6), -np.eye(6)])
+    origin = np.repeat(np.arange(n), len(signs))
+    steps = np.tile(signs, (n, 1)) * scale[origin, None]
+    turn = se3.rotation_exp(config.angle * steps[:, 3:])
+    move = se3.translation(tcp) @ se3.from_parts(turn, config.step * steps[:, :3]) @ se3.translation(-tcp)
+    tried = graded.select(origin)
+    return replace(tried, T_world_gripper=tried.T_world_gripper @ move), origin
+
+
+def free_neighbours(tried: Graded, origin: Int[Array, "m"], judge: Judge) -> tuple[Free, Int[Array, "k"]]:
+    """Those whose hand and way in keep their clearance."""
+    back = se3.translation(-judge.gripper.approach_distance * judge.gripper.approach)
+    start = Candidates(tried.preshape, tried.T_world_gripper @ back)
+    table = np.minimum(table_clearance(tried, judge.space), table_clearance(start, judge.space))
+    above = np.flatnonzero(table > CLEAR_ENOUGH * judge.config.collision.clearance)
+    tried, origin, table = tried.select(above), origin[above], table[above]
+    clearance = np.minimum(point_clearance(tried, judge.space), table)
+    is_free = clearance > CLEAR_ENOUGH * judge.config.collision.clearance
+    free = replace(tried, clearance=clearance).select(is_free)
+    return Free(**{entry.name: getattr(free, entry.name) for entry in fields(Free)}), origin[is_free]
+
+
+def surest(current: Graded, found: Graded, origin: Int[Array, "m"]) -> tuple[Graded, Array]:
+    """For each candidate the surest of itself and its neighbours, and whether that is a neighbour."""
+    n = len(current)
+    confidence = np.concatenate([current.confidence, found.confidence])
+    owner = np.concatenate([np.arange(n), origin])
+    order = np.lexsort((np.arange(len(owner)), -confidence, owner))
+    first = order[np.unique(owner[order], return_index=True)[1]]
+    return joined(current, found).select(first), first >= n
+
+
+def replaced(graded: Graded, index: Int[Array, "k"], by: Graded) -> Graded:
+    """The candidates, those of an index replaced."""
+    others = np.setdiff1d(np.arange(len(graded)), index)
+    return joined(graded.select(others), by)
+
+
+def joined(a: Graded, b: Graded) -> Graded:
+    """Both, one after the other."""
+    both = {entry.name: (getattr(a, entry.name), getattr(b, entry.name)) for entry in fields(Graded)}
+    return Graded(**{name: np.concatenate(pair) for name, pair in both.items()})

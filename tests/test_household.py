@@ -15,11 +15,11 @@ from scipy.spatial import ConvexHull
 from graspmatch.geometry.mesh import TriangleMesh, concatenate, sample_surface
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_bake import mesh_distance
-from graspmatch.scene.household import OBJECTS
+from graspmatch.scene.household import BULGE, OBJECTS
 from graspmatch.scene.scene import Scene
 from graspmatch.scene.shapes import Solid
 
-CLOSE = 0.002
+CLOSE = BULGE
 """How far parts and surface may differ [m]."""
 SIZES = {  # of the real thing, along x, y and z [mm]
     "mug": (97, 70, 90),

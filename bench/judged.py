@@ -15,13 +15,14 @@ from rich.console import Console
 
 from baselines.antipodal import antipodal
 from baselines.split_pso import split_pso
+from graspmatch.apps.bench.experiments import variant_of
 from graspmatch.apps.bench.machine import described, machine, usable_cores
 from graspmatch.apps.bench.objects import folder_sources, household_sources
 from graspmatch.apps.bench.run import Benchmark, Workshop, run_benchmark
 from graspmatch.apps.bench.summary import Row, summary
 from graspmatch.apps.bench.tables import markdown, notes_on, record, rich_table, write_json, write_text
 from graspmatch.apps.bench.trials import Planner, PlanWith, TrialConfig
-from graspmatch.config import PlannerConfig
+from graspmatch.config import LiftConfig, PlannerConfig
 from graspmatch.formats.registry import read_grasps, write_grasps
 from graspmatch.planner.plan import plan
 from graspmatch.scene.scene import Scene
@@ -59,18 +60,25 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", choices=METHODS)
     parser.add_argument("--objects", type=Path, default=PAPER_OBJECTS)
     parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--friction", type=float, default=0.6)
+    parser.add_argument("--pose-error-mm", type=float, default=0.0)
+    parser.add_argument("--pose-error-deg", type=float, default=0.0)
     parser.add_argument("--output", type=Path, default=RESULTS)
     parser.add_argument("--fresh", action="store_true", help="run all trials again")
     parser.add_argument("--processes", type=int, default=usable_cores())
     arguments = parser.parse_args()
     sources = folder_sources(arguments.objects) if arguments.objects.is_dir() else household_sources()
-    config, workshop = (
-        TrialConfig(trials=arguments.trials),
-        Workshop(arguments.output, arguments.processes, arguments.fresh),
+    config = TrialConfig(
+        lift=LiftConfig(friction=arguments.friction),
+        trials=arguments.trials,
+        pose_error_mm=arguments.pose_error_mm,
+        pose_error_deg=arguments.pose_error_deg,
     )
+    workshop = Workshop(arguments.output, arguments.processes, arguments.fresh)
+    variant = variant_of(config)
     console, tables, means = Console(width=140), {}, []
     for method in arguments.methods or METHODS_OF.get(arguments.gripper, ("ours",)):
-        label = f"judged-{arguments.gripper}-{method.replace(' ', '')}"
+        label = f"judged-{arguments.gripper}-{method.replace(' ', '')}{variant}"
         rows = summary(run_benchmark(Benchmark(label, METHODS[method], arguments.gripper, sources, config), workshop))
         console.print(rich_table(f"{method}, {arguments.gripper}", rows, {}))
         tables[method] = record(rows, {})
@@ -81,7 +89,7 @@ def main() -> None:
 def report(gripper: str, means: list[Row], tables: dict, config: TrialConfig, output: Path, processes: int) -> None:
     """Write all tables as JSON, and the means as Markdown."""
     about = machine()
-    name = f"judged-{gripper}"
+    name = f"judged-{gripper}{variant_of(config)}"
     write_json(output / f"{name}.json", {"machine": about, "settings": asdict(config), "methods": tables})
     text = markdown(f"Methods in the judge: {gripper}", means, {}, notes_on(about, asdict(config), processes))
     write_text(output / f"{name}.md", text)

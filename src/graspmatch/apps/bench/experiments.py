@@ -55,14 +55,14 @@ def paper(task: Task, workshop: Workshop, say: Speech) -> dict[str, Any]:
     """Table II (Franka Hand) or III (Barrett) of the paper, or the same table for another hand; its JSON."""
     name = task.hand_name
     title = f"{TABLES[name]}: {name}" if name in TABLES else name
-    return rates(title, f"paper-{name}{_suffix(task.config)}", task, PAPER.get(name, {}), workshop, say)
+    return rates(title, f"paper-{name}{variant_of(task.config)}", task, PAPER.get(name, {}), workshop, say)
 
 
 def quick(task: Task, workshop: Workshop, say: Speech) -> dict[str, Any]:
     """The twelve objects made by code: runs anywhere."""
     begin = time.perf_counter()
     name = task.hand_name
-    result = rates(f"Objects made by code: {name}", f"quick-{name}{_suffix(task.config)}", task, {}, workshop, say)
+    result = rates(f"Objects made by code: {name}", f"quick-{name}{variant_of(task.config)}", task, {}, workshop, say)
     say.show(f"Done in {time.perf_counter() - begin:.0f} s.")
     return result
 
@@ -132,7 +132,7 @@ def four_gaussians(scene: Scene, gripper: Gripper) -> tuple[PoseGaussian, ...]:
 
 def ablation(task: Task, workshop: Workshop, say: Speech) -> dict[str, Any]:
     """Success and time against the number of initialisations, for two ways to choose them, and for the four methods."""
-    name, about = f"ablation-{task.hand_name}{_suffix(task.config)}", machine()
+    name, about = f"ablation-{task.hand_name}{variant_of(task.config)}", machine()
 
     def run(what: str, planner: Planner) -> Row:
         row = replace(summary(run_benchmark(task.with_planner(f"{name}-{what}", planner), workshop))[-1], name=what)
@@ -177,7 +177,7 @@ def _with_method(config: PlannerConfig, method: Method) -> PlannerConfig:
     return replace(config, matching=replace(config.matching, method=method))
 
 
-def _suffix(config: TrialConfig) -> str:
+def variant_of(config: TrialConfig) -> str:
     """Names a variant of the protocol, so that its trials have a file of their own."""
     parts = []
     if config.lift.friction != 0.6:

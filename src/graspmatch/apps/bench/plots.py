@@ -55,7 +55,7 @@ def plot_rates(path: Path, title: str, rows: Sequence[Row], published: Published
         axes.set_ylim(0, 105)
         axes.grid(axis="x", visible=False)
         axes.set_title(title, loc="left")
-        axes.legend(loc="lower left")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
         _save(figure, path)
 
 

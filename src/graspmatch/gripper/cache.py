@@ -6,14 +6,17 @@ import hashlib
 import json
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from graspmatch.geometry.grid import Grid
 from graspmatch.geometry.mesh import TriangleMesh
 from graspmatch.types import Finger, Gripper, Link, PointCloud, Preshape
+
+T = TypeVar("T")
 
 
 def cache_folder() -> Path:
@@ -25,22 +28,30 @@ def cache_folder() -> Path:
 
 def read_gripper(key: str) -> Gripper | None:
     """The hand stored under a key; None where there is none or the file is damaged."""
-    path = cache_folder() / f"{key}.npz"
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        digest = bytes(arrays.pop("digest")).decode()
-        return _unpack(arrays) if digest == _digest(arrays) else None
-    except FileNotFoundError:
-        return None
-    except Exception:  # what a damaged archive raises has no end; it reads like none: the hand is baked again
-        return None
+    return read_cached(key, _unpack)
 
 
 def write_gripper(key: str, gripper: Gripper) -> None:
-    """Store a hand. A folder that cannot be written costs the next call its time, not this one its result."""
-    arrays = _pack(gripper)
-    arrays["digest"] = np.frombuffer(_digest(arrays).encode(), dtype=np.uint8)
+    """Store a hand under a key."""
+    write_cached(key, _pack(gripper))
+
+
+def read_cached(key: str, unpack: Callable[[dict[str, np.ndarray]], T]) -> T | None:
+    """What `unpack` makes of the arrays stored under a key; None where there are none or the file is damaged."""
+    try:
+        with np.load(cache_folder() / f"{key}.npz", allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        digest = bytes(arrays.pop("digest")).decode()
+        return unpack(arrays) if digest == _digest(arrays) else None
+    except FileNotFoundError:
+        return None
+    except Exception:  # what a damaged archive raises has no end; it reads like none: the content is computed again
+        return None
+
+
+def write_cached(key: str, arrays: dict[str, np.ndarray]) -> None:
+    """Store arrays. A folder that cannot be written costs the next call its time, not this one its result."""
+    digest = np.frombuffer(_digest(arrays).encode(), dtype=np.uint8)
     try:
         cache_folder().mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(suffix=".npz", dir=cache_folder())
@@ -48,7 +59,7 @@ def write_gripper(key: str, gripper: Gripper) -> None:
         return
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            np.savez(file, allow_pickle=False, **arrays, digest=digest)
         os.replace(name, cache_folder() / f"{key}.npz")
     except OSError:
         Path(name).unlink(missing_ok=True)

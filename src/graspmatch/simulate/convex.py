@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 from dataclasses import astuple, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from graspmatch.geometry.mesh import TriangleMesh
-from graspmatch.gripper.cache import cache_folder
+from graspmatch.gripper.cache import read_cached, write_cached
 from graspmatch.scene.read import read_mesh
 from graspmatch.scene.surface import clean_mesh
 from graspmatch.simulate.decompose import convex_hull, decompose, recipe
@@ -39,14 +37,6 @@ class ConvexParts:
         """How far the parts reach beyond the mesh [m], at 95 % of their exposed surface."""
         return self.fidelity.bulge
 
-    def describe(self) -> str:
-        """One line for a person."""
-        f = self.fidelity
-        return (
-            f"{len(self.parts)} convex part{'s' * (len(self.parts) != 1)}; beyond the mesh by {1000 * f.bulge:.1f} mm "
-            f"(95 %), {1000 * f.largest_bulge:.1f} mm at most; short of it by {1000 * f.largest_gap:.1f} mm at most"
-        )
-
 
 def convex_parts(mesh: TriangleMesh, *, folder: Path | None = None) -> ConvexParts:
     """The parts that the STL files of a folder hold, else those found by decomposing the mesh.
@@ -57,13 +47,13 @@ def convex_parts(mesh: TriangleMesh, *, folder: Path | None = None) -> ConvexPar
     mesh, _, _ = clean_mesh(mesh, "the mesh")
     given = None if folder is None else read_parts(folder)
     key = _cache_key(mesh, given)
-    cached = _read(key)
+    cached = read_cached(key, _unpack)
     if cached is not None:
         return cached
     bodies, is_open = closed_bodies(mesh)
     parts = decompose(bodies) if given is None else given
     result = ConvexParts(parts, fidelity(mesh, parts, is_open=is_open))
-    _write(key, result)
+    write_cached(key, _pack(result))
     return result
 
 
@@ -91,50 +81,18 @@ def _cache_key(mesh: TriangleMesh, given: tuple[TriangleMesh, ...] | None) -> st
     return f"convex-{digest.hexdigest()[:20]}"
 
 
-def _read(key: str) -> ConvexParts | None:
-    """The parts stored under a key; None where there are none or the file is damaged."""
-    try:
-        with np.load(cache_folder() / f"{key}.npz", allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        if bytes(arrays.pop("digest")) != _digest(arrays):
-            return None
-        vertices = np.split(arrays["vertices"], np.cumsum(arrays["vertex_counts"])[:-1])
-        faces = np.split(arrays["faces"], np.cumsum(arrays["face_counts"])[:-1])
-        parts = tuple(TriangleMesh(v, f) for v, f in zip(vertices, faces, strict=True))
-        return ConvexParts(parts, Fidelity(*arrays["fidelity"].tolist()))
-    except FileNotFoundError:
-        return None
-    except Exception:  # what a damaged archive raises has no end; it reads like none: the mesh is decomposed again
-        return None
+def _unpack(arrays: dict[str, Array]) -> ConvexParts:
+    vertices = np.split(arrays["vertices"], np.cumsum(arrays["vertex_counts"])[:-1])
+    faces = np.split(arrays["faces"], np.cumsum(arrays["face_counts"])[:-1])
+    parts = tuple(TriangleMesh(v, f) for v, f in zip(vertices, faces, strict=True))
+    return ConvexParts(parts, Fidelity(*arrays["fidelity"].tolist()))
 
 
-def _write(key: str, convex: ConvexParts) -> None:
-    """Store the parts. A folder that cannot be written costs the next call its time, not this one its result."""
-    arrays = {
+def _pack(convex: ConvexParts) -> dict[str, Array]:
+    return {
         "vertices": np.concatenate([part.vertices for part in convex.parts]),
         "faces": np.concatenate([part.faces for part in convex.parts]),
         "vertex_counts": np.array([len(part.vertices) for part in convex.parts]),
         "face_counts": np.array([len(part.faces) for part in convex.parts]),
         "fidelity": np.array(astuple(convex.fidelity)),
     }
-    arrays["digest"] = np.frombuffer(_digest(arrays), dtype=np.uint8)
-    try:
-        cache_folder().mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(suffix=".npz", dir=cache_folder())
-    except OSError:
-        return
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
-        os.replace(name, cache_folder() / f"{key}.npz")
-    except OSError:
-        Path(name).unlink(missing_ok=True)
-
-
-def _digest(arrays: dict[str, Array]) -> bytes:
-    """SHA-256 over names, shapes and bytes."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        digest.update(f"{name} {arrays[name].dtype.str} {arrays[name].shape};".encode())
-        digest.update(np.ascontiguousarray(arrays[name]).data)
-    return digest.digest()

@@ -133,8 +133,8 @@ def run_trial(job: Job) -> Trial:
     begin = time.perf_counter()
     try:
         grasps, reason = job.planner(scene, gripper, planner_seed), NO_GRASP
-    except GraspmatchError as error:  # one object that a planner refuses does not end the benchmark
-        grasps, reason = None, f"refused: {error}"
+    except GraspmatchError as refusal:  # one object that a planner refuses does not end the benchmark
+        grasps, reason = None, f"refused: {refusal}"
     planned = time.perf_counter() - begin
     if not grasps:
         return Trial(name, job.trial, False, reason, planned, 0.0, 0, "", None, 0.0, 0.0)

@@ -110,7 +110,7 @@ format: isaac_grasp
 format_version: 1.0
 gripper_frame_link: panda_hand
 grasps:
-  worse: {confidence: 0.2, position: [0, 0, 1], orientation: {w: 2, xyz: [0, 0, 0]}}
+  worse: {confidence: 0.2, position: [0, 0, 1], orientation: {w: 1, xyz: [0, 0, 0]}}
   better:
     confidence: 0.9
     position: [1, 2, 3]
@@ -153,6 +153,13 @@ def test_what_another_tool_does_not_say_is_unknown(tmp_path: Path) -> None:
         "{a: {position: [0, 0, .nan], orientation: {w: 1, xyz: [0, 0, 0]}}}}",
         "{format: isaac_grasp, format_version: 1.0, grasps: "
         "{a: {position: [0, 0, 0], orientation: {w: 0, xyz: [0, 0, 0]}}}}",
+        "{format: isaac_grasp, format_version: 1.0, grasps: "
+        "{a: {position: [0, 0, 0], orientation: {w: 2, xyz: [0, 0, 0]}}}}",
+        "{format: isaac_grasp, format_version: 1.0, grasps: "
+        "{a: {position: [0, 0, 0], orientation: {w: 1, xyz: [0, 0, 0]}, confidence: .inf}}}",
+        "{format: isaac_grasp, format_version: 1.0, grasps: "
+        "{a: {position: [0, 0, 0], orientation: {w: 1, xyz: [0, 0, 0]}, cspace_position: [1]}}}",
+        "{format: isaac_grasp, format_version: 2.0, grasps: {}}",
         "format: isaac_grasp\nformat_version: 1.0\ngrasps: !!python/object/apply:os.getcwd []",
     ],
 )
@@ -191,7 +198,7 @@ def test_npz_files_of_others_and_missing_files_are_refused(tmp_path: Path) -> No
     np.savez(tmp_path / "points.npz", points=np.zeros((3, 3)))
     with pytest.raises(GraspmatchError, match="not a file of grasps"):
         read_npz(tmp_path / "points.npz")
-    with pytest.raises(GraspmatchError, match="no such file"):
+    with pytest.raises(GraspmatchError, match="No such file"):
         read_npz(tmp_path / "missing.npz")
     with pytest.raises(GraspmatchError, match="No such file"):
         read_isaac(tmp_path / "missing.yaml")

@@ -10,7 +10,8 @@ import pytest
 
 from graspmatch.apps.cli import main
 from graspmatch.errors import GraspmatchError
-from graspmatch.formats.graspnet import COLUMNS, jaw, read_graspnet, write_graspnet
+from graspmatch.formats.graspnet import COLUMNS, read_graspnet, write_graspnet
+from graspmatch.formats.jaw import jaw
 from graspmatch.formats.registry import read_grasps, write_grasps
 from graspmatch.geometry import se3
 from graspmatch.gripper.load import load_gripper

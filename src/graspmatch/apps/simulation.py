@@ -19,7 +19,7 @@ from graspmatch.apps.speech import Speech
 from graspmatch.config import LiftConfig, check_ranges
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import check_place
-from graspmatch.formats.registry import read_grasps
+from graspmatch.formats.registry import NO_HAND, read_grasps, suffix_of
 from graspmatch.geometry.mesh import transformed
 from graspmatch.geometry.se3 import translation
 from graspmatch.gripper.card import read_card
@@ -116,7 +116,7 @@ def _hand_and_grasps(command: Simulate) -> tuple[HandModel, GraspSet]:
     """The hand that is asked for, or the one that the file names, and the grasps in the order of its joints."""
     if command.gripper is not None:
         card = card_path(command.gripper)
-        needs_hand = command.grasps.suffix.lower() == ".npy"
+        needs_hand = suffix_of(command.grasps) in NO_HAND
         gripper = load_gripper(command.gripper, description=command.description) if needs_hand else None
         return load_hand(card, command.description), read_grasps(command.grasps, gripper)
     grasps = read_grasps(command.grasps)

@@ -9,16 +9,18 @@ pose of any hand by laying the hand's fingertip plane into that of the row, and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from graspmatch.errors import GraspmatchError
-from graspmatch.formats.files import write_atomically
+from graspmatch.formats.files import check_readable, disguise, one_line, write_atomically
+from graspmatch.formats.foreign import Found, foreign_grasps
+from graspmatch.formats.jaw import fitting_preshape
+from graspmatch.formats.jaw import jaw as jaw
 from graspmatch.geometry import se3
-from graspmatch.types import GraspSet, Gripper, Preshape, Provenance
+from graspmatch.types import GraspSet, Gripper
 
 COLUMNS = 17
 SCORE, WIDTH, HEIGHT, DEPTH, ROTATION, TRANSLATION, OBJECT = 0, 1, 2, 3, slice(4, 13), slice(13, 16), 16
@@ -29,36 +31,6 @@ one that lies between the pads of any hand. A reader takes the depth of each row
 FINGER_HEIGHT = 0.02
 """Finger thickness that the format's own tools assume [m]."""
 UNKNOWN_OBJECT = -1.0
-FACING = 0.5
-"""A part of the inner surface is a pad where the cosine between its normal and the closing axis is at least this."""
-SLACK = 1e-4
-"""A preshape counts as wide enough up to this [m], since other tools store widths in single precision."""
-
-
-@dataclass(frozen=True)
-class Jaw:
-    """What the format knows of a hand, for one preshape."""
-
-    tip_centre: Float[np.ndarray, "3"]
-    """The middle between the fingertips, in the plane of the foremost point of the fingers [m], gripper frame."""
-    opening: float
-    """Clear distance between the pads along the closing axis [m]; NaN where there are no two pads face to face."""
-
-
-def jaw(preshape: Preshape, gripper: Gripper) -> Jaw:
-    """The jaw of a preshape, from the outlines of its fingers and the samples of its inner surface near their tips."""
-    tip = max(float((outline[0] @ gripper.approach).max()) for outline in preshape.finger_outlines)
-    points, normals = preshape.samples.points, preshape.samples.normals
-    assert normals is not None, "baking gives every sample its normal"
-    across = points @ gripper.closing
-    facing = np.where(points @ gripper.approach > tip - FINGER_DEPTH, normals @ gripper.closing, 0.0)
-    upper = float(across[facing <= -FACING].min(initial=np.inf))
-    lower = float(across[facing >= FACING].max(initial=-np.inf))
-    has_pads = np.isfinite(upper - lower) and upper > lower
-    tcp = gripper.tool_centre_point
-    middle = (upper + lower) / 2 if has_pads else float(tcp @ gripper.closing)
-    to_middle = (middle - tcp @ gripper.closing) * gripper.closing + (tip - tcp @ gripper.approach) * gripper.approach
-    return Jaw(tcp + to_middle, upper - lower if has_pads else np.nan)
 
 
 def write_graspnet(grasps: GraspSet, path: Path, gripper: Gripper) -> None:
@@ -67,6 +39,11 @@ def write_graspnet(grasps: GraspSet, path: Path, gripper: Gripper) -> None:
         raise GraspmatchError(
             f"Cannot write {path}: GraspNet's format is for two fingers, {gripper.name} has {len(gripper.fingers)}. "
             "Possible: .npz, .yaml."
+        )
+    if grasps.preshape_names != tuple(preshape.name for preshape in gripper.preshapes):
+        raise GraspmatchError(
+            f"Cannot write {path}: the width of a row is that of a preshape of {gripper.name}, and the grasps arrive "
+            "in others. Possible: to read them with that gripper given."
         )
     jaws = [jaw(preshape, gripper) for preshape in gripper.preshapes]
     opening = np.array([each.opening for each in jaws])[grasps.preshape]
@@ -98,33 +75,14 @@ def read_graspnet(path: Path, gripper: Gripper) -> GraspSet:
     Where none opens so wide it is the widest one. Joint values at the grasp, clearances and errors are NaN.
     """
     rows = _load(path)
-    rows = rows[np.argsort(-rows[:, SCORE], kind="stable")]
     jaws = [jaw(preshape, gripper) for preshape in gripper.preshapes]
-    preshape = _fitting_preshape(rows[:, WIDTH], np.array([each.opening for each in jaws]))
+    preshape = fitting_preshape(rows[:, WIDTH], np.array([each.opening for each in jaws]))
     rotation = rows[:, ROTATION].reshape(-1, 3, 3)
     tip_world = rows[:, TRANSLATION] + rows[:, DEPTH, None] * rotation[:, :, 0]
     R_world_gripper = rotation @ _R_gripper_jaw(gripper).T
     tip_gripper = np.array([each.tip_centre for each in jaws])[preshape]
     T = se3.from_parts(R_world_gripper, tip_world - np.einsum("nij,nj->ni", R_world_gripper, tip_gripper))
-    unknown = np.full(len(rows), np.nan)
-    pregrasp_joints = np.array([shape.joints for shape in gripper.preshapes])[preshape]
-    return GraspSet(
-        joint_names=gripper.joint_names,
-        preshape_names=tuple(shape.name for shape in gripper.preshapes),
-        T_world_gripper=T,
-        T_world_pregrasp=T @ se3.translation(-gripper.approach_distance * gripper.approach),
-        preshape=preshape,
-        pregrasp_joints=pregrasp_joints,
-        grasp_joints=np.full_like(pregrasp_joints, np.nan),
-        score=rows[:, SCORE],
-        clearance=unknown,
-        matching_error=unknown,
-        loss=unknown,
-        quality=unknown,
-        fingers_touching=np.full(len(rows), -1),
-        tally={"candidates": len(rows)},
-        provenance=Provenance(gripper.name, gripper.content_hash, "", seed=0, device="", version="", source=str(path)),
-    )
+    return foreign_grasps(Found(T_world_gripper=T, score=rows[:, SCORE], preshape=preshape), path, gripper)
 
 
 def _R_gripper_jaw(gripper: Gripper) -> Float[np.ndarray, "3 3"]:
@@ -132,26 +90,14 @@ def _R_gripper_jaw(gripper: Gripper) -> Float[np.ndarray, "3 3"]:
     return gripper.T_gripper_canonical[:3, [2, 0, 1]]
 
 
-def _fitting_preshape(width: Float[np.ndarray, "n"], opening: Float[np.ndarray, "p"]) -> Int[np.ndarray, "n"]:
-    """For each width the preshape of the smallest opening that is no less, else of the largest.
-
-    No margin is added: the width of a row is a jaw opening, in which its author's margin is already.
-    """
-    known = np.where(np.isnan(opening), -np.inf, opening)  # hands without a jaw take their first preshape
-    fits = known >= width[:, None] - SLACK
-    narrowest = np.argmin(np.where(fits, known, np.inf), axis=-1)
-    return np.where(fits.any(axis=-1), narrowest, np.argmax(known))
-
-
 def _load(path: Path) -> Float[np.ndarray, "n 17"]:
     """The rows of a file, checked."""
+    check_readable(path)
     try:
         with path.open("rb") as file:
             rows = np.lib.format.read_array(file, allow_pickle=False)
-    except OSError as error:
-        raise GraspmatchError(f"Cannot read {path}: {error.strerror or error}.") from error
     except Exception as error:  # the bytes are anyone's, and NumPy fails on them in ways of its own
-        raise GraspmatchError(f"{path} is no .npy file of numbers: {' '.join(str(error).split())}") from error
+        raise GraspmatchError(f"{path} is no .npy file of numbers: {one_line(error)}{disguise(path)}.") from error
     if rows.ndim != 2 or rows.shape[1] != COLUMNS or rows.dtype.kind != "f":
         raise GraspmatchError(
             f"{path} is not a GraspGroup of GraspNet: it holds {rows.dtype} of the shape {rows.shape}, "
@@ -161,7 +107,8 @@ def _load(path: Path) -> Float[np.ndarray, "n 17"]:
     good = np.isfinite(rows).all(axis=-1)
     if not good.all():
         raise GraspmatchError(f"{path}: row {np.argmin(good)} has a number that is not finite.")
-    good = se3.is_rigid(se3.from_parts(rows[:, ROTATION].reshape(-1, 3, 3), rows[:, TRANSLATION]))
+    with np.errstate(over="ignore"):  # of matrices that are far from rotations
+        good = se3.is_rigid(se3.from_parts(rows[:, ROTATION].reshape(-1, 3, 3), rows[:, TRANSLATION]))
     if not good.all():
         raise GraspmatchError(f"{path}: columns 4 to 12 of row {np.argmin(good)} are no rotation matrix.")
     return rows

@@ -14,24 +14,29 @@ import numpy as np
 from jaxtyping import Float
 
 from graspmatch.errors import GraspmatchError
-from graspmatch.formats.files import write_atomically
+from graspmatch.formats.files import MOST_GRASPS, one_line
+from graspmatch.formats.foreign import MOST_JOINTS, Found, foreign_grasps, joint_names_of, joint_table
+from graspmatch.formats.native import grasp_set, quaternion_rotation
+from graspmatch.formats.yaml_files import read_yaml, write_yaml
 from graspmatch.geometry import se3
-from graspmatch.types import GraspSet, Provenance
+from graspmatch.types import GraspSet, Gripper
 
 Document = dict[str, Any]
 
+VERSION = 1.0
 NUMBERS = ("quality", "clearance", "matching_error", "loss")
 """What is known of a grasp beyond the format [1, m, m2, m2]."""
 
 
 def write_isaac(grasps: GraspSet, gripper_frame: str, path: Path) -> None:
-    """Write poses, scores and both joint blocks; `gripper_frame` is the base link of the hand."""
-    import yaml
+    """Write poses, scores and both joint blocks; `gripper_frame` is the base link of the hand.
 
+    Joint values that are not known are left out: a reader would take NaN for a command.
+    """
     # Both spellings: the editor writes `object_frame`, its tutorial `object_frame_link`.
     document = {
         "format": "isaac_grasp",
-        "format_version": 1.0,
+        "format_version": VERSION,
         "object_frame": "object",
         "object_frame_link": "object",
         "gripper_frame": gripper_frame,
@@ -45,34 +50,122 @@ def write_isaac(grasps: GraspSet, gripper_frame: str, path: Path) -> None:
             "advice": grasps.advice,
         },
     }
-    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    text = yaml.dump(document, Dumper=dumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_yaml(document, path)
 
 
-def read_isaac(path: Path) -> GraspSet:
-    """Read a file of this or of another tool, best first; what it does not say is NaN, or -1 fingers touching."""
-    document = _load(path)
+def read_isaac(path: Path, gripper: Gripper | None = None) -> GraspSet:
+    """Read a file of this or of another tool, best first; its poses are those of the hand's base link.
+
+    What another tool does not say is NaN, or -1 fingers touching, or follows from the gripper.
+    """
+    documents = read_yaml(path)
+    if len(documents) != 1 or not is_isaac(documents[0]):
+        raise GraspmatchError(f"{path} is not an Isaac grasp file: it has no 'format: isaac_grasp'.")
+    return isaac_grasps(documents[0], path, gripper)
+
+
+def is_isaac(document: object) -> bool:
+    """Whether the document says that it is of this format."""
+    return isinstance(document, dict) and document.get("format") == "isaac_grasp"
+
+
+def isaac_grasps(
+    document: Document, path: Path, gripper: Gripper | None, T_file_gripper: Float[np.ndarray, "4 4"] | None = None
+) -> GraspSet:
+    """The grasps of a document; `T_file_gripper` is where our gripper frame is in the frame that another tool's is."""
+    missing = [key for key in ("format_version", "grasps") if key not in document]
+    if missing:
+        raise GraspmatchError(f"{path} is not a whole Isaac grasp file: '{missing[0]}' is missing.")
+    if _version(document["format_version"]) != VERSION:
+        raise GraspmatchError(
+            f"{path} has format_version {str(document['format_version'])[:20]}; this program reads {VERSION}."
+        )
+    grasps = document["grasps"] or {}
+    if not isinstance(grasps, dict):
+        raise GraspmatchError(f"{path}: 'grasps' must be a mapping of names to grasps.")
+    if len(grasps) > MOST_GRASPS:
+        raise GraspmatchError(f"{path} has {len(grasps)} grasps, at most {MOST_GRASPS} are read.")
+    entries = [_Entry(str(name)[:60], entry, path) for name, entry in grasps.items()]
+    if "graspmatch" in document:
+        if T_file_gripper is not None:
+            raise GraspmatchError(f"{path} was written by graspmatch: its poses are those of the base link.")
+        return _own_grasps(document["graspmatch"], entries, path)
+    names = joint_names_of([entry.grasp_joints | entry.pregrasp_joints for entry in entries], path)
+    found = Found(
+        T_world_gripper=np.array([entry.pose for entry in entries]).reshape(-1, 4, 4)
+        @ (np.eye(4) if T_file_gripper is None else T_file_gripper),
+        score=np.array([entry.confidence for entry in entries], dtype=float),
+        joint_names=names,
+        pregrasp_joints=joint_table([entry.pregrasp_joints for entry in entries], names),
+        grasp_joints=joint_table([entry.grasp_joints for entry in entries], names),
+        hand=str(document.get("gripper_frame", document.get("gripper_frame_link", "")))[:200],
+    )
+    return foreign_grasps(found, path, gripper)
+
+
+class _Entry:
+    """One grasp of a document, checked."""
+
+    def __init__(self, name: str, entry: Any, path: Path) -> None:
+        try:
+            self.pose = _pose(entry)
+            self.confidence = _number(entry.get("confidence", np.nan), "confidence")
+            self.grasp_joints = _joint_values(entry, "cspace_position")
+            self.pregrasp_joints = _joint_values(entry, "pregrasp_cspace_position")
+            self.own: Document = entry.get("graspmatch", {})
+            self.pregrasp = _pose(self.own["pregrasp"]) if "pregrasp" in self.own else np.full((4, 4), np.nan)
+        except Exception as error:  # anything may stand where a number should
+            raise GraspmatchError(f"{path}: grasp '{name}' is malformed ({one_line(error)}).") from error
+
+
+def _own_grasps(own: Any, entries: list[_Entry], path: Path) -> GraspSet:
+    """The grasps of a file that `write_isaac` wrote, in its order."""
     try:
-        return _grasp_set(document, path)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise GraspmatchError(f"{path}: a grasp or a name is missing or malformed ({_one_line(error)}).") from error
+        joint_names, preshapes = tuple(own["joint_names"]), {name: i for i, name in enumerate(own["preshape_names"])}
+        if len(joint_names) > MOST_JOINTS:
+            raise ValueError(f"it names {len(joint_names)} joints, at most {MOST_JOINTS} are possible")
+        named = joint_names_of([entry.grasp_joints | entry.pregrasp_joints for entry in entries], path)
+        if strangers := set(named) - set(joint_names):
+            raise ValueError(f"'{min(strangers)[:60]}' is none of its joint_names")
+        preshape = [preshapes[entry.own["preshape"]] if "preshape" in entry.own else 0 for entry in entries]
+        arrays = {
+            "T_world_gripper": np.array([entry.pose for entry in entries]).reshape(-1, 4, 4),
+            "T_world_pregrasp": np.array([entry.pregrasp for entry in entries]).reshape(-1, 4, 4),
+            "preshape": np.array(preshape, dtype=int),
+            "pregrasp_joints": joint_table([entry.pregrasp_joints for entry in entries], joint_names),
+            "grasp_joints": joint_table([entry.grasp_joints for entry in entries], joint_names),
+            "score": np.array([entry.confidence for entry in entries], dtype=float),
+            "fingers_touching": np.array([int(entry.own.get("fingers_touching", -1)) for entry in entries], dtype=int),
+        }
+        for name in NUMBERS:
+            arrays[name] = np.array([float(entry.own.get(name, np.nan)) for entry in entries], dtype=float)
+        return grasp_set(own, arrays)
+    except GraspmatchError:
+        raise
+    except Exception as error:
+        raise GraspmatchError(f"{path}: its block 'graspmatch' is malformed ({one_line(error)}).") from error
 
 
 def _grasp_entry(grasps: GraspSet, i: int) -> Document:
     """One grasp as the format has it, and our own block."""
+    pregrasp = grasps.T_world_pregrasp[i]
     return {
         "confidence": float(grasps.score[i]),
         **_pose_entry(grasps.T_world_gripper[i]),
-        "cspace_position": dict(zip(grasps.joint_names, grasps.grasp_joints[i].tolist(), strict=True)),
-        "pregrasp_cspace_position": dict(zip(grasps.joint_names, grasps.pregrasp_joints[i].tolist(), strict=True)),
+        "cspace_position": _known(grasps.joint_names, grasps.grasp_joints[i]),
+        "pregrasp_cspace_position": _known(grasps.joint_names, grasps.pregrasp_joints[i]),
         "graspmatch": {
             "preshape": grasps.preshape_names[grasps.preshape[i]],
-            "pregrasp": _pose_entry(grasps.T_world_pregrasp[i]),
+            **({} if np.isnan(pregrasp).any() else {"pregrasp": _pose_entry(pregrasp)}),
             "fingers_touching": int(grasps.fingers_touching[i]),
             **{name: float(getattr(grasps, name)[i]) for name in NUMBERS},
         },
     }
+
+
+def _known(names: tuple[str, ...], values: Float[np.ndarray, "d"]) -> dict[str, float]:
+    """Values of the joints whose values are known."""
+    return {name: float(value) for name, value in zip(names, values, strict=True) if np.isfinite(value)}
 
 
 def _pose_entry(T_world_gripper: Float[np.ndarray, "4 4"]) -> Document:
@@ -81,86 +174,31 @@ def _pose_entry(T_world_gripper: Float[np.ndarray, "4 4"]) -> Document:
     return {"position": T_world_gripper[:3, 3].tolist(), "orientation": {"w": w, "xyz": xyz}}
 
 
-def _load(path: Path) -> Document:
-    """The document, checked to be of this format."""
-    import yaml
-
-    try:
-        document = yaml.load(path.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except OSError as error:
-        raise GraspmatchError(f"Cannot read {path}: {error.strerror or error}.") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise GraspmatchError(f"{path} is not YAML: {_one_line(error)}.") from error
-    if not isinstance(document, dict) or document.get("format") != "isaac_grasp":
-        raise GraspmatchError(f"{path} is not an Isaac grasp file: it has no 'format: isaac_grasp'.")
-    missing = [key for key in ("format_version", "grasps") if key not in document]
-    if missing:
-        raise GraspmatchError(f"{path} is not a whole Isaac grasp file: '{missing[0]}' is missing.")
-    return document
-
-
-def _grasp_set(document: Document, path: Path) -> GraspSet:
-    """The grasps of a document."""
-    entries = list((document["grasps"] or {}).values())
-    own = document.get("graspmatch")
-    if own is None:
-        own = _foreign_header(document, entries, path)
-        entries.sort(key=lambda entry: -float(entry.get("confidence", 0.0)))
-    joint_names, preshape_names = tuple(own["joint_names"]), tuple(own["preshape_names"])
-    extras = [entry.get("graspmatch", {}) for entry in entries]
-    unknown = np.full((4, 4), np.nan)
-    pregrasps = [_pose(extra["pregrasp"]) if "pregrasp" in extra else unknown for extra in extras]
-    preshapes = [preshape_names.index(extra.get("preshape", preshape_names[0])) for extra in extras]
-    return GraspSet(
-        joint_names=joint_names,
-        preshape_names=preshape_names,
-        T_world_gripper=np.array([_pose(entry) for entry in entries]).reshape(-1, 4, 4),
-        T_world_pregrasp=np.array(pregrasps).reshape(-1, 4, 4),
-        preshape=np.array(preshapes, dtype=int),
-        pregrasp_joints=_joint_values(entries, "pregrasp_cspace_position", joint_names),
-        grasp_joints=_joint_values(entries, "cspace_position", joint_names),
-        score=np.array([float(entry.get("confidence", np.nan)) for entry in entries], dtype=float),
-        fingers_touching=np.array([int(extra.get("fingers_touching", -1)) for extra in extras], dtype=int),
-        **{name: np.array([float(extra.get(name, np.nan)) for extra in extras], dtype=float) for name in NUMBERS},
-        tally=dict(own["tally"]),
-        provenance=Provenance(**own["provenance"]),
-        advice=str(own["advice"]),
-    )
-
-
-def _foreign_header(document: Document, entries: list[Document], path: Path) -> Document:
-    """What our own block would say, for a file of another tool."""
-    frame = document.get("gripper_frame", document.get("gripper_frame_link", "unknown"))
-    blocks = [entry.get(key, {}) for entry in entries for key in ("cspace_position", "pregrasp_cspace_position")]
-    joint_names = list(dict.fromkeys(name for block in blocks for name in block))
-    provenance = Provenance(
-        gripper=str(frame), gripper_hash="", config="", seed=0, device="", version="", source=str(path)
-    )
-    return {
-        "joint_names": joint_names,
-        "preshape_names": ["unknown"],
-        "tally": {"candidates": len(entries)},
-        "provenance": dataclasses.asdict(provenance),
-        "advice": "",
-    }
-
-
 def _pose(entry: Document) -> Float[np.ndarray, "4 4"]:
     """Position and orientation of an entry as a transform."""
     position = np.array(entry["position"], dtype=float)
     wxyz = np.array([entry["orientation"]["w"], *entry["orientation"]["xyz"]], dtype=float)
-    norm = np.linalg.norm(wxyz)
-    if position.shape != (3,) or wxyz.shape != (4,) or not np.isfinite(position).all() or not norm > 0:
-        raise ValueError("a pose needs three finite coordinates and a quaternion that is not zero")
-    return se3.from_parts(se3.matrix_from_quaternion(wxyz / norm), position)
+    if position.shape != (3,) or wxyz.shape != (4,) or not np.isfinite(position).all():
+        raise ValueError("a pose needs three finite coordinates and the four numbers of a quaternion")
+    return se3.from_parts(quaternion_rotation(wxyz), position)
 
 
-def _joint_values(entries: list[Document], key: str, joint_names: tuple[str, ...]) -> Float[np.ndarray, "n d"]:
-    """Values of the named joints, NaN where an entry does not say."""
-    values = [[float(entry.get(key, {}).get(name, np.nan)) for name in joint_names] for entry in entries]
-    return np.array(values, dtype=float).reshape(len(entries), len(joint_names))
+def _joint_values(entry: Document, key: str) -> dict[str, float]:
+    """Values of the joints that a block names, which may be missing."""
+    return {str(name): _number(value, str(name)) for name, value in (entry.get(key) or {}).items()}
 
 
-def _one_line(error: Exception) -> str:
-    """The message of an error without line breaks."""
-    return " ".join(f"{type(error).__name__}: {error}".split())
+def _number(value: Any, name: str) -> float:
+    """A number that is finite, or NaN for unknown."""
+    number = float(value)
+    if np.isinf(number):
+        raise ValueError(f"'{name[:60]}' is infinite")
+    return number
+
+
+def _version(entry: Any) -> float | None:
+    """The version as a number; some tools quote it."""
+    try:
+        return float(entry)
+    except (TypeError, ValueError):
+        return None

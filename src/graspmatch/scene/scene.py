@@ -13,7 +13,12 @@ from jaxtyping import Float
 
 from graspmatch.geometry.mesh import TriangleMesh
 from graspmatch.scene import surface
+from graspmatch.scene.camera import Camera
+from graspmatch.scene.depth import DepthImage
+from graspmatch.scene.depth_view import Correct, depth_view, plane_in_view
 from graspmatch.scene.read import CloudFile, read_cloud, read_mesh, read_object, triangles
+from graspmatch.scene.target import Target, target_of
+from graspmatch.scene.view import View, to_world, view_of_cloud, with_up
 from graspmatch.types import GraspmatchError, Plane, PointCloud
 
 if TYPE_CHECKING:
@@ -25,6 +30,8 @@ Unit = Literal["auto", "m", "cm", "mm"]
 Table = Literal["auto"] | float | int | Plane | None
 
 METRES = {"auto": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001}
+OBSTACLE_SPACING = 0.004
+"""Distance between the points of what else a sensor saw [m], at least."""
 SMALLEST, LARGEST = 0.003, 3.0
 """Sizes of an object [m] between which nobody asks whether its unit is right."""
 
@@ -49,6 +56,8 @@ class Scene:
     """The object's mesh [m], where the scene was made from one."""
     notes: tuple[str, ...] = ()
     """What was dropped, turned or assumed, one sentence each."""
+    view: View | None = None
+    """What the sensor saw, where the scene was cut from it: it knows the space that is free and what is hidden."""
 
     @classmethod
     def read(
@@ -115,6 +124,63 @@ class Scene:
             content = replace(content, normals=normals)
         return _cloud_scene(content, name, table, unit, obstacles, sensor_origin)
 
+    @classmethod
+    def from_depth(
+        cls,
+        depth: PathLike | Array | DepthImage,
+        camera: PathLike | Array | Camera | None = None,
+        *,
+        object: int | None = None,
+        at: Sequence[float] | None = None,
+        mask: PathLike | Array | None = None,
+        table: Table = "auto",
+        metres_per_unit: float | None = None,
+        correct: Correct = "auto",
+        up: Sequence[float] | Array | None = None,
+    ) -> Scene:
+        """The scene of one object in a depth image (h, w) of a table with things on it.
+
+        camera: intrinsics (3, 3) or their file, or a `Camera`, whose pose makes the world; without a pose the world is
+            the camera's frame. An NPZ file of the depth may hold them as `K`.
+        object, at, mask: its number, a pixel (column, row) of it, or its pixels (h, w); without any, it is that of
+            which most is seen. A mask may mark several objects by their values, which are their numbers.
+        table: `auto` finds it; its height in the world needs the camera's pose.
+        metres_per_unit: what one step of the depth is [m]; without it, integers are millimetres and floats metres.
+        correct: `auto` scales and tilts the depth where the table's height is given, so that the table comes out there;
+            `tilt` only makes the table level, which needs the camera's pose or `up`; `off` believes the depth.
+        up: against gravity, in the camera frame, where that is known and the camera's pose is not.
+        """
+        view, plane = depth_view(depth, camera, table, metres_per_unit=metres_per_unit, correct=correct, up=up)
+        target = target_of(view, plane, number=object, at=at, mask=mask)
+        return _view_scene(cls, view, target if table is not None else replace(target, table=None))
+
+    @classmethod
+    def from_view(
+        cls,
+        view: View | PathLike | PointCloud | Array,
+        *,
+        object: int | None = None,
+        at: Sequence[float] | None = None,
+        mask: PathLike | Array | None = None,
+        table: Table = "auto",
+        unit: Unit = "auto",
+        T_world_cloud: Array | None = None,
+        sensor_origin: Sequence[float] | Array | None = None,
+        up: Sequence[float] | Array | None = None,
+    ) -> Scene:
+        """The scene of one object in a cloud of a table with things on it: a file, an array or a `View`.
+
+        `object`, `at`, `mask`, `table` and `up` are as for `from_depth`; where the cloud has no rows, `at` is x, y [m]
+        in its frame, and there can be no mask. An organised array is (h, w, 3). `T_world_cloud` is the pose of a cloud
+        that is in its camera's frame.
+        """
+        if not isinstance(view, View):
+            view = _cloud_view(view, unit, T_world_cloud, sensor_origin)
+        view = with_up(view, up)
+        plane = plane_in_view(view, table, _metres(unit))
+        target = target_of(view, plane, number=object, at=at, mask=mask)
+        return _view_scene(cls, view, target if table is not None else replace(target, table=None))
+
 
 def _mesh_scene(mesh: TriangleMesh, name: str, table: Table, unit: Unit, obstacles: object) -> Scene:
     scale = _metres(unit)
@@ -156,6 +222,30 @@ def _cloud_scene(
         sensor_origin=sensor,
         notes=notes + more,
     )
+
+
+def _view_scene(cls: type[Scene], view: View, target: Target) -> Scene:
+    origin = None if view.origin is None else to_world(view, view.origin[None])[0]
+    seen, _, spacing, notes = surface.cloud_surface(target.points, None, origin)
+    return cls(
+        target=seen,
+        obstacles=PointCloud(surface.thin_obstacles(target.obstacles, max(spacing, OBSTACLE_SPACING))),
+        table=target.table,
+        centre_of_mass=seen.points.mean(axis=0),
+        source=view.source,
+        sensor_origin=origin,
+        notes=(*view.notes, *target.notes, *notes),
+        view=view,
+    )
+
+
+def _cloud_view(cloud: object, unit: Unit, T_world_cloud: Array | None, sensor_origin: object) -> View:
+    if isinstance(cloud, np.ndarray) and cloud.ndim == 3:
+        content, name = CloudFile(cloud), "array"
+    else:
+        content, name = _as_cloud(cloud)
+    origin = None if sensor_origin is None else _vector(sensor_origin, "sensor_origin")
+    return view_of_cloud(content, scale=_metres(unit), sensor_origin=origin, T_world_cloud=T_world_cloud, source=name)
 
 
 def _as_cloud(cloud: object, name: str = "array") -> tuple[CloudFile, str]:

@@ -1,0 +1,75 @@
+"""One object of a view as the target, and what is around it, in the world."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from graspmatch.scene.depth_file import read_mask
+from graspmatch.scene.pick import choose, segment_by_mask
+from graspmatch.scene.segment import OTHER, Segmentation, segment
+from graspmatch.scene.view import View, to_world
+from graspmatch.types import Plane
+
+Array = np.ndarray
+
+SURROUNDINGS = 0.4
+"""Things farther from the target than this [m] are in nobody's way."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a view says about one object, in the world."""
+
+    points: Float[Array, "n 3"]
+    obstacles: Float[Array, "m 3"]
+    """What else rises above the table near the object [m]."""
+    table: Plane | None
+    notes: tuple[str, ...] = ()
+
+
+def target_of(
+    view: View,
+    table: Plane | None = None,
+    *,
+    number: int | None = None,
+    at: Sequence[float] | None = None,
+    mask: str | os.PathLike[str] | Array | None = None,
+) -> Target:
+    """The object of a number, at a place or under a mask; `table` is in the view frame, None to find it."""
+    if mask is None:
+        found = segment(view, table=table)
+    else:
+        marked = mask if isinstance(mask, np.ndarray) else read_mask(mask)
+        found = segment_by_mask(view, marked, table=table)
+    index = choose(view, found, number=number, at=at)
+    return cut_out(view, found, index, notes=_notes(found, index, is_chosen=number is not None or at is not None))
+
+
+def cut_out(view: View, found: Segmentation, index: int, *, notes: tuple[str, ...] = ()) -> Target:
+    """One object of a segmentation, and all else above the table that is near it."""
+    points = view.points[found.labels == index]
+    low, high = points.min(axis=0) - SURROUNDINGS, points.max(axis=0) + SURROUNDINGS
+    others = view.points[(found.labels == OTHER) | ((found.labels >= 0) & (found.labels != index))]
+    near = np.all([(others[:, i] > low[i]) & (others[:, i] < high[i]) for i in range(3)], axis=0)
+    table = None if found.table is None else _plane_in_world(view, found.table)
+    return Target(to_world(view, points), to_world(view, others[near]), table, notes)
+
+
+def _plane_in_world(view: View, plane: Plane) -> Plane:
+    normal = view.T_world_view[:3, :3] @ plane.normal
+    return Plane(normal, float(plane.offset + normal @ view.T_world_view[:3, 3]))
+
+
+def _notes(found: Segmentation, index: int, *, is_chosen: bool) -> tuple[str, ...]:
+    notes: tuple[str, ...] = ()
+    if found.table is None:
+        notes += ("No support plane was found around the mask: no table is assumed.",)
+    if len(found) > 1 and not is_chosen:
+        number = found.numbers[index]
+        notes += (f"{len(found)} objects were found, and number {number} was taken: {found.describe()}.",)
+    return notes

@@ -4,7 +4,7 @@ For every object of a development set the planner is asked for many grasps, and 
 A logistic model of few figures is fitted to what happened, over all hands at once; what each figure is worth is shown
 by leaving it out. The model is judged on objects that it was not fitted to: by cross-validation (an object is left out
 with all its grasps, of all hands), and on a check set that had no part in anything. Last come the constants for
-`CALIBRATION` in planner/grip.py.
+`CALIBRATION` in planner/grade.py.
 """
 
 from __future__ import annotations
@@ -220,8 +220,8 @@ def comparison(model: Model, now: Model) -> str:
     """The constants to paste, and whether the planner has them."""
     fitted = f"The fit: CALIBRATION = ({parameters(model)})"
     if model.constants == now.constants:
-        return f"{fitted}, as in planner/grip.py."
-    return f"{fitted}. They differ from those in planner/grip.py: ({parameters(now)})."
+        return f"{fitted}, as in planner/grade.py."
+    return f"{fitted}. They differ from those in planner/grade.py: ({parameters(now)})."
 
 
 def notes_on(development: dict[Job, Entry], check: dict[Job, Entry]) -> list[str]:

@@ -22,21 +22,19 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from graspmatch.apps.bench.machine import machine, usable_cores
 from graspmatch.apps.bench.objects import ObjectSource, folder_sources, household_sources
-from graspmatch.apps.bench.trials import NO_GRASP, TOPPLES, _random_place, _stage, _use_threads
+from graspmatch.apps.bench.trials import NO_GRASP, TOPPLES, random_place, stage, use_threads
 from graspmatch.config import LiftConfig, PlannerConfig
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import write_atomically
-from graspmatch.geometry import se3
 from graspmatch.geometry.mesh import transformed
 from graspmatch.gripper.description import content_hash
 from graspmatch.gripper.kinematics import load_hand
 from graspmatch.gripper.load import load_gripper
 from graspmatch.gripper.zoo import card_path
-from graspmatch.planner.candidates import Candidates
-from graspmatch.planner.contacts import contacts_of, touchable
-from graspmatch.planner.grip import confidence, margins
+from graspmatch.planner.candidates import Candidates, Closed
+from graspmatch.planner.grade import draw_trials, grade, middling
+from graspmatch.planner.hold import Held, Touchable, hold, touchable
 from graspmatch.planner.plan import plan
-from graspmatch.planner.slide import slide
 from graspmatch.scene.scene import Scene
 from graspmatch.simulate.judge import try_grasp
 from graspmatch.types import GraspSet, Gripper
@@ -54,15 +52,20 @@ class Lifted:
     hand: Shaped[Array, "n"]
     object: Shaped[Array, "n"]
     """SET/NAME: sets share names."""
-    robust_margin: Float[Array, "n"]
+    margin: Float[Array, "n"]
+    """Mean over the trials of the planner."""
+    held_share: Float[Array, "n"]
+    """Of those trials."""
     loss: Float[Array, "n"]
     """Eq. (13) [m2]."""
     contacts: Int[Array, "n"]
-    """Of fingers and palm, where the fingers have pushed the object."""
-    margin: Float[Array, "n"]
-    """There, without errors of the pose."""
+    """Of fingers and palm in the end, the hand where it was planned."""
+    planned_margin: Float[Array, "n"]
+    """Likewise."""
     pushed: Float[Array, "n"]
-    """How far the fingers push the object [m]."""
+    """How far the fingers push the object then [m] ..."""
+    slipped: Float[Array, "n"]
+    """... and how far it slips as it is lifted [m]."""
     clearance: Float[Array, "n"]
     """[m]"""
     moment_arm: Float[Array, "n"]
@@ -91,7 +94,17 @@ class Lifted:
         return np.unique(names, return_inverse=True)[1] if names else np.zeros(0, dtype=int)
 
 
-FIGURES = ("robust_margin", "loss", "margin", "pushed", "clearance", "moment_arm", "score")
+FIGURES = (
+    "margin",
+    "held_share",
+    "loss",
+    "planned_margin",
+    "pushed",
+    "slipped",
+    "clearance",
+    "moment_arm",
+    "score",
+)
 NOTHING = Lifted(
     **{name: np.zeros(0, dtype="<U1") for name in ("hand", "object", "reason")},
     **{name: np.zeros(0) for name in FIGURES},
@@ -150,9 +163,10 @@ def object_sets(names: Sequence[str]) -> dict[str, list[ObjectSource]]:
 
 
 def planner_for(count: int) -> PlannerConfig:
-    """The planner, asked for so many grasps."""
+    """The planner, asked for so many grasps, all of them after all trials."""
     config = PlannerConfig()
-    return replace(config, ranking=replace(config.ranking, count=count))
+    grip = replace(config.grip, leaders=count)
+    return replace(config, ranking=replace(config.ranking, count=count), grip=grip)
 
 
 def collect(jobs: Sequence[Job], *, processes: int, fresh: bool = False) -> dict[Job, Entry]:
@@ -178,11 +192,11 @@ def collect(jobs: Sequence[Job], *, processes: int, fresh: bool = False) -> dict
 
 def lift_all(job: Job) -> tuple[Lifted, str]:
     """Settle, place, plan, and lift every grasp; and why there are none."""
-    settled, world, gripper = _stage(job.source, job.hand, None, job.lift)
+    settled, world, gripper = stage(job.source, job.hand, None, job.lift)
     if settled.topples:
         return NOTHING, TOPPLES
     rng = np.random.default_rng([job.planner.seed, zlib.crc32(job.object.encode())])
-    T_world_object = _random_place(rng) @ settled.T_world_object
+    T_world_object = random_place(rng) @ settled.T_world_object
     scene = Scene.from_mesh(transformed(settled.target.mesh, T_world_object), table=0.0)
     try:
         grasps = plan(scene, gripper, replace(job.planner, seed=int(rng.integers(2**31))))
@@ -197,32 +211,52 @@ def lift_all(job: Job) -> tuple[Lifted, str]:
 def with_figures(job: Job, grasps: GraspSet, scene: Scene, gripper: Gripper, reason: Shaped[Array, "n"]) -> Lifted:
     """The grasps with the figures that the planner judged them by.
 
-    Those that a grasp set lacks are computed as the planner computed them, stage by stage; that they are the same is
+    Those that a grasp set lacks come from closing the fingers again, as the planner did; that they are the same is
     checked by the confidence that follows from them.
     """
     config, device = job.planner.grip, grasps.provenance.device
-    candidates = Candidates(grasps.preshape, grasps.T_world_gripper)
-    target, coarse = (touchable(scene, points, device) for points in (config.points, config.coarse_points))
-    pushed = slide(candidates, coarse, gripper, config, device)
-    at_rest = Candidates(grasps.preshape, grasps.T_world_gripper @ se3.translation(-pushed))
-    contacts = contacts_of(at_rest, target, gripper, config, device).count.sum(axis=-1)
-    if not np.allclose(confidence(grasps.quality, grasps.loss, contacts), grasps.score, atol=1e-4):
+    target = touchable(scene, config.points, device)
+    closed, planned = closed_again(grasps, target, gripper, job.planner)
+    trials = draw_trials(gripper, config, grasps.provenance.seed)
+    graded = grade(closed, grasps.matching_error, grasps.loss, trials, target, gripper, config, device)
+    if not np.allclose(graded.confidence, grasps.score, atol=1e-4):
         raise GraspmatchError(f"{job.hand} {job.object}: the figures do not give the score of the plan.")
     R_world_gripper = grasps.T_world_gripper[:, :3, :3]
     grip_centre = R_world_gripper @ gripper.tool_centre_point + grasps.T_world_gripper[:, :3, 3]
     return Lifted(
         hand=np.full(len(grasps), job.hand),
         object=np.full(len(grasps), job.object),
-        robust_margin=grasps.quality,
+        margin=graded.margin,
+        held_share=graded.held_share,
         loss=grasps.loss,
-        contacts=contacts,
-        margin=margins(at_rest, target, gripper, config, device),
-        pushed=np.linalg.norm(pushed, axis=-1),
+        contacts=planned.contacts,
+        planned_margin=planned.margin,
+        pushed=planned.pushed,
+        slipped=planned.slipped,
         clearance=grasps.clearance,
         moment_arm=np.linalg.norm(grip_centre - scene.centre_of_mass, axis=-1) / target.length,
         score=grasps.score,
         reason=reason,
     )
+
+
+def closed_again(grasps: GraspSet, target: Touchable, gripper: Gripper, planner: PlannerConfig) -> tuple[Closed, Held]:
+    """Grasps as the planner grades them, and what comes of them where they were planned, with middling friction."""
+    n, config = len(grasps), planner.grip
+    candidates = Candidates(grasps.preshape, grasps.T_world_gripper)
+    planned = hold(candidates, np.full(n, middling(config)), target, gripper, config, grasps.provenance.device)
+    closed = Closed(
+        **vars(candidates),
+        matching_error=grasps.matching_error,
+        loss=grasps.loss,
+        is_free=np.ones(n, dtype=bool),
+        matched_preshape=grasps.preshape,
+        clearance=grasps.clearance,
+        retreat=np.zeros(n),
+        closing_fraction=planned.fraction,
+        grasp_joints=grasps.grasp_joints,
+    )
+    return closed, planned
 
 
 def concatenated(parts: Iterable[Lifted]) -> Lifted:
@@ -277,7 +311,7 @@ def _run(jobs: Sequence[Job], processes: int) -> Iterator[tuple[Job, Entry]]:
         return
     # Fresh interpreters with one thread each, as trials are run.
     threads = str(max(1, usable_cores() // processes))
-    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_use_threads, initargs=(threads,)) as pool:
+    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=use_threads, initargs=(threads,)) as pool:
         futures = {pool.submit(_run_one, job): job for job in jobs}
         try:
             for future in as_completed(futures):

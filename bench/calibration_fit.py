@@ -14,21 +14,24 @@ from scipy.stats import rankdata
 from calibration_data import Lifted
 from graspmatch.apps.bench.summary import wilson
 from graspmatch.errors import GraspmatchError
-from graspmatch.planner.grip import CALIBRATION, LOSS_SCALE
+from graspmatch.planner.grade import CALIBRATION, LOSS_SCALE
 
 Array = np.ndarray
 
 TERMS: dict[str, Callable[[Lifted], Array]] = {
-    "robust margin": lambda lifted: lifted.robust_margin,
+    "margin": lambda lifted: lifted.margin,
+    "held share": lambda lifted: lifted.held_share,
     "root loss": lambda lifted: np.sqrt(np.maximum(lifted.loss, 0.0)) / LOSS_SCALE,
     "contacts": lambda lifted: lifted.contacts.astype(float),
-    "margin": lambda lifted: lifted.margin,
-    "push": lambda lifted: 100 * lifted.pushed,
+    "margin as planned": lambda lifted: lifted.planned_margin,
+    "pushed": lambda lifted: 100 * lifted.pushed,
+    "slipped": lambda lifted: 100 * lifted.slipped,
     "clearance": lambda lifted: 1000 * lifted.clearance,
     "moment arm": lambda lifted: lifted.moment_arm,
 }
-"""Figures of a grasp that say something of whether it holds."""
-MODEL = ("robust margin", "root loss", "contacts")
+"""Figures of a grasp that say something of whether it holds: loss as the planner scales it, push and slip in
+centimetres, clearance in millimetres, forces in those of a finger."""
+MODEL = ("margin", "held share", "root loss")
 """Those that the planner ranks by, in the order of its constants."""
 OTHERS = tuple(name for name in TERMS if name not in MODEL)
 

@@ -43,9 +43,9 @@ from graspmatch.apps.bench.objects import ObjectSource
 from graspmatch.apps.bench.summary import wilson
 from graspmatch.config import LiftConfig, SeedingConfig
 from graspmatch.errors import GraspmatchError
-from graspmatch.planner.grip import confidence
+from graspmatch.planner.grade import confidence
 
-TRUE = Model(MODEL, -0.5, (2.0, -1.5, 0.5))
+TRUE = Model(MODEL, 0.0, (1.5, 2.0, -0.8))
 
 
 def made_up(rng: np.random.Generator, objects: int = 24, each: int = 50, model: Model = TRUE) -> Lifted:
@@ -55,11 +55,13 @@ def made_up(rng: np.random.Generator, objects: int = 24, each: int = 50, model: 
     lifted = Lifted(
         hand=np.where(number % 2 == 0, "left", "right"),
         object=np.array([f"set/{i // 2:02d}" for i in number]),
-        robust_margin=rng.normal(0.0, 0.5, n),
+        margin=rng.normal(0.0, 0.5, n),
+        held_share=rng.integers(0, 7, n) / 6,
         loss=rng.uniform(0.0, 0.1, n) ** 2,
         contacts=rng.integers(0, 12, n),
-        margin=rng.normal(0.0, 0.5, n),
+        planned_margin=rng.normal(0.0, 0.5, n),
         pushed=rng.uniform(0.0, 0.03, n),
+        slipped=rng.uniform(0.0, 0.03, n),
         clearance=rng.uniform(0.002, 0.01, n),
         moment_arm=rng.uniform(0.0, 2.0, n),
         score=rng.uniform(0.0, 1.0, n),
@@ -166,7 +168,7 @@ def test_the_first_grasp_of_each_hand_and_object_is_what_counts_on_top() -> None
 
 def test_the_model_of_the_planner_is_the_one_that_is_fitted() -> None:
     lifted = made_up(np.random.default_rng(7))
-    expected = confidence(lifted.robust_margin, lifted.loss, lifted.contacts)
+    expected = confidence(lifted.margin, lifted.held_share, lifted.loss)
     assert planner_model().confidence(lifted) == pytest.approx(expected)
 
 
@@ -213,9 +215,9 @@ def test_a_report_has_tables_constants_and_a_plot(tmp_path: Path, capsys: pytest
     assert {"development", "check"} == content["reliability"].keys()
     text = (tmp_path / "calibration.md").read_text()
     assert f"CALIBRATION = ({', '.join(f'{value:g}' for value in fit(part).constants)})" in text
-    assert "They differ from those in planner/grip.py" in capsys.readouterr().out
+    assert "They differ from those in planner/grade.py" in capsys.readouterr().out
     for name in MODEL:
         assert f"| without {name} |" in text
     assert np.asarray(Image.open(tmp_path / "calibration.png")).std() > 10
     same = calibration.comparison(planner_model(), planner_model())
-    assert "as in planner/grip.py" in same
+    assert "as in planner/grade.py" in same

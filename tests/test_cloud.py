@@ -77,6 +77,15 @@ def test_voxels_do_not_depend_on_the_order_of_the_points(rng):
     assert np.array_equal(inverse[order], inverse_again)
 
 
+def test_voxels_are_the_same_by_table_and_by_sorting(rng):
+    """A point far away makes the table of voxels too long to be used."""
+    points = rng.uniform(0.0, 0.1, size=(3000, 3))
+    near = cloud.voxel_downsample(points, 0.005, origin=np.zeros(3))
+    far = cloud.voxel_downsample(np.vstack([points, [[9.0, 9.0, 9.0]]]), 0.005, origin=np.zeros(3))
+    np.testing.assert_array_equal(far[0][:-1], near[0])
+    np.testing.assert_array_equal(far[1][:-1], near[1])
+
+
 @pytest.mark.parametrize("step", [0.0025, 0.00125, 0.001])
 def test_voxels_move_with_a_cloud_that_lies_on_a_grid(step):
     axis = np.arange(20) * step

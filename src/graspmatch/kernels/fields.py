@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from graspmatch.geometry import grid as grids
+from graspmatch.geometry.sphere import GOLDEN_RATIO
 from graspmatch.kernels import warp_fields
 from graspmatch.kernels.launch import launch
+from graspmatch.kernels.warp_blocks import BLOCK
 
 
 def stack_fields(fields: Sequence[grids.Grid], device: str) -> warp_fields.FieldStack:
@@ -27,6 +30,80 @@ def stack_fields(fields: Sequence[grids.Grid], device: str) -> warp_fields.Field
     return stack
 
 
+def pack_levels(fields: Sequence[grids.Grid], step: float, device: str) -> wp.array:
+    """The bytes of `warp_blocks` for a stack of these fields, four to a word: what the lowest corner of a cell says."""
+    levels = np.concatenate([cell_levels(np.asarray(field.values), step).ravel() for field in fields])
+    return wp.array(np.pad(levels, (0, -len(levels) % 4)).view("<i4"), dtype=wp.int32, device=device)
+
+
+def cell_levels(values: Float[np.ndarray, "nx ny nz"], step: float) -> UInt8[np.ndarray, "nx ny nz"]:
+    """Level 0 where a corner of the cell is below zero, level n where all are (n - 1) steps or more, at most 255."""
+    lowest = values
+    for axis in range(3):
+        upper = np.concatenate([np.delete(lowest, 0, axis), np.take(lowest, [-1], axis)], axis)
+        lowest = np.minimum(lowest, upper)
+    return np.clip(np.floor(lowest / step) + 1, 0, 255).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class BlockCloud:
+    """Points on the device in blocks of neighbours."""
+
+    points: wp.array
+    """Of each block first all x, then all y, then all z [m]; the last block of each cloud is filled up with points far
+    away."""
+    ends: tuple[int, ...]
+    """For each of the clouds that lie one after the other, the block after its last one."""
+
+    @property
+    def blocks(self) -> int:
+        """Of all clouds."""
+        return self.ends[-1]
+
+
+FAR = 1.0e3
+"""Where the points are that fill up a block [m]."""
+NEIGHBOURHOOD = 0.016
+"""Edge of the voxels whose points become neighbours in a block [m]."""
+
+
+def upload_blocks(clouds: Sequence[Float[np.ndarray, "_ 3"]], device: str, *, scattered: bool = False) -> BlockCloud:
+    """Clouds one after the other, each in an order in which neighbours follow each other (see `in_block_order`).
+
+    scattered: the blocks in an order in which the first few already have points everywhere, for kernels that look for a
+        minimum: they know a low one early, and can leave out most others.
+    """
+    parts = [in_blocks(cloud) for cloud in clouds]
+    parts = [scatter(part) for part in parts] if scattered else parts
+    points = wp.array(np.concatenate(parts).ravel(), dtype=wp.float32, device=device)
+    return BlockCloud(points, tuple(int(end) for end in np.cumsum([len(part) for part in parts])))
+
+
+def in_blocks(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3 b"]:
+    """Points in the order given, coordinate by coordinate in each block, the last block filled up."""
+    blocks = np.full((-(-len(points) // BLOCK), BLOCK, 3), FAR, dtype=np.float32)
+    blocks.reshape(-1, 3)[: len(points)] = points
+    return np.ascontiguousarray(np.swapaxes(blocks, 1, 2))
+
+
+def scatter(blocks: Float[np.ndarray, "m 3 b"]) -> Float[np.ndarray, "m 3 b"]:
+    """The blocks in an order of which any first few are spread over all of them."""
+    return blocks[np.argsort(np.arange(len(blocks)) * GOLDEN_RATIO % 1.0)]
+
+
+def in_block_order(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Points in the order of the voxels that they lie in, every second layer and row of voxels backwards: neighbours
+    follow each other."""
+    if len(points) == 0:
+        return points
+    lower, size = points.min(axis=0), np.ptp(points, axis=0).max()
+    edge = max(NEIGHBOURHOOD, float(size) / 31)  # 32 voxels along each axis at most: the code has 15 bits
+    i, j, k = ((points - lower).T / edge).astype(np.uint16)
+    j = np.where(i % 2, 31 - j, j)
+    k = np.where(j % 2, 31 - k, k)
+    return points[np.argsort((i * 32 + j) * 32 + k, kind="stable")]
+
+
 def nearest_field(
     points: Float[np.ndarray, "n 3"],
     origin: Float[np.ndarray, "3"],
@@ -38,16 +115,18 @@ def nearest_field(
     field = warp_fields.NearestField()
     field.origin, field.dims, field.spacing = wp.vec3(*origin), wp.vec3i(*shape), spacing
     field.points = wp.array(points, dtype=wp.vec3, device=device)
-    seed = wp.array(_seed_nodes(points, origin, shape, spacing), dtype=wp.int32, device=device)
-    index = wp.empty_like(seed)
-    for axis in range(3):
-        lines = int(np.prod(shape)) // shape[axis]
-        sweep = [axis, field.origin, field.dims, spacing, field.points, seed]
-        launch(warp_fields.sweep_nearest, lines, sweep, [index], device)
-        seed, index = index, seed
-    grid = [field.origin, field.dims, spacing, field.points]
-    launch(warp_fields.refine_nearest, int(np.prod(shape)), [*grid, seed], [index], device)
-    field.index = index
+    field.coordinates = wp.array(points.T.ravel(), dtype=wp.float32, device=device)
+    u = np.vstack([(points - origin) / spacing, np.full((1, 3), FAR / spacing)])
+    cloud = [field.dims, len(u), wp.array(u.T.ravel(), dtype=wp.float32, device=device)]
+    before = wp.array(_seed_nodes(points, origin, shape, spacing), dtype=wp.int32, device=device)
+    after, square = wp.empty_like(before), wp.empty_like(before)
+    rows = shape[0] * shape[1]
+    launch(warp_fields.sweep_along, rows, [*cloud, before], [after, square], device)
+    for axis in sorted((0, 1), key=lambda axis: shape[axis]):  # rows begin empty, and empty rows look far
+        launch(warp_fields.sweep_across, rows, [axis, *cloud, after], [before, square], device)
+        before, after = after, before
+    field.index = before
+    launch(warp_fields.refine_nearest, rows, [*cloud, after], [field.index, square], device)
     return field
 
 
@@ -67,10 +146,10 @@ def covering_nearest_field(
 def _seed_nodes(
     points: Float[np.ndarray, "n 3"], origin: Float[np.ndarray, "3"], shape: tuple[int, int, int], spacing: float
 ) -> Int[np.ndarray, "m"]:
-    """For each node the point rounded to it, the nearest where several are, -1 where none is."""
+    """For each node the point rounded to it, the nearest where several are, one past the last where none is."""
     u = (points - origin) / spacing
     node = np.clip(np.rint(u).astype(int), 0, np.array(shape) - 1)
     order = np.argsort(-np.sum((u - node) ** 2, axis=-1), kind="stable")
-    seed = np.full(int(np.prod(shape)), -1, dtype=np.int32)
+    seed = np.full(int(np.prod(shape)), len(points), dtype=np.int32)
     seed[np.ravel_multi_index(tuple(node[order].T), shape)] = order
     return seed

@@ -72,21 +72,41 @@ def thread_count() -> int:
     return int(wanted)
 
 
-def launch(kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence[Any], device: str) -> None:
-    """Run `kernel(first, *inputs, *outputs)` for elements 0 to `dim`, on all cores or on the GPU."""
+def launch(
+    kernel: wp.Kernel,
+    dim: int,
+    inputs: Sequence[Any],
+    outputs: Sequence[Any],
+    device: str,
+    *,
+    lanes: int = 1,
+    chunks: int = 1,
+) -> None:
+    """Run `kernel(first, *inputs, *outputs)` for elements 0 to `dim`, on all cores or on the GPU.
+
+    lanes: threads for each element on the GPU.
+    chunks: pieces that each CPU thread's share is cut into, where elements differ much in what they cost.
+    """
     if dim == 0:
         return
-    threads = min(thread_count(), dim) if device == "cpu" else 1
-    if threads == 1:
-        wp.launch(kernel, dim, inputs=[0, *inputs], outputs=list(outputs), device=device)
+    if device != "cpu":
+        wp.launch(kernel, dim * lanes, [0, *inputs], outputs, device=device, block_dim=128)
         return
-    kernel.module.load(wp.get_device(device))
-    bounds = [dim * i // threads for i in range(threads + 1)]
-    jobs = [
-        _pool(threads).submit(
-            wp.launch, kernel, end - start, inputs=[start, *inputs], outputs=list(outputs), device=device
-        )
-        for start, end in itertools.pairwise(bounds)
-    ]
+    threads = min(thread_count(), dim)
+    pieces = min(threads * chunks, dim)
+    bounds = itertools.pairwise(dim * i // pieces for i in range(pieces + 1))
+    first, *others = (
+        wp.launch(kernel, dim, [0, *inputs], outputs, device=device, record_cmd=True) for _ in range(threads)
+    )
+    waiting = iter(list(bounds))  # of which every thread takes the next as soon as it is free
+    jobs = [_pool(threads).submit(_run_all, command, waiting) for command in others]
+    _run_all(first, waiting)
     for job in jobs:
         job.result()
+
+
+def _run_all(command: wp.Launch, bounds: Iterator[tuple[int, int]]) -> None:
+    for begin, end in bounds:
+        command.set_dim(end - begin)
+        command.set_param_at_index(0, begin)
+        command.launch()

@@ -182,22 +182,29 @@ def align(samples: Float[Array, "n 3"], paired: Float[Array, "n 3"], weights: Fl
 class Grip:
     """Contacts of one grasp. Forces are in units of one finger's force, torques and lengths are divided by a length.
 
-    Contact c belongs to what presses, `presser[c]`, which shares out a force from `least` to `most` among its contacts.
-    A contact with the normal force N adds a force t across its normal and a torque m about it, as far as
+    Contact c belongs to what touches, `toucher[c]`: a finger, the palm or the table. What presses, `presser` of that,
+    is the palm, the table, or a drive with all of its fingers: it shares out a force from `least` to `most` among its
+    contacts. A contact with the normal force N adds a force t across its normal and a torque m about it, as far as
     |t|^2 / friction^2 + m^2 / torsion^2 <= N^2.
     """
 
-    presser: Int[Array, "c"]
+    toucher: Int[Array, "c"]
     arm: Float[Array, "c 3"]
     """From the centre of mass."""
     push: Float[Array, "c 3"]
     """Unit vectors against the object's normals."""
+    presser: Int[Array, "g"]
     least: Float[Array, "p"]
     most: Float[Array, "p"]
     friction: float
     torsion: float
     load: Float[Array, "3"]
     """Force at the centre of mass."""
+
+    @property
+    def pressers(self) -> Int[Array, "c"]:
+        """What presses at each contact."""
+        return self.presser[self.toucher]
 
 
 def contact_wrenches(grip: Grip, d: Float[Array, "k 6"]) -> Float[Array, "k c 6"]:
@@ -220,8 +227,8 @@ def farthest_wrenches(grip: Grip, d: Float[Array, "k 6"]) -> Float[Array, "k 6"]
     wrenches = contact_wrenches(grip, d)
     gain = np.einsum("kci,ki->kc", wrenches, d)
     total = np.tile(np.concatenate([grip.load, np.zeros(3)]), (len(d), 1))
-    for p in np.unique(grip.presser):
-        own = np.flatnonzero(grip.presser == p)
+    for p in np.unique(grip.pressers):
+        own = np.flatnonzero(grip.pressers == p)
         best = own[np.argmax(gain[:, own], axis=-1), None]
         force = np.where(np.take_along_axis(gain, best, axis=1) > 0, grip.most[p], grip.least[p])
         total += force * np.take_along_axis(wrenches, best[..., None], axis=1)[:, 0]
@@ -251,15 +258,15 @@ def missing_wrench(grip: Grip, tolerance: float = 1e-6) -> float:
     By non-negative least squares over wrenches that contacts can exert; one that leads nearer is added to them until
     the support along the remainder proves that there is none.
     """
-    load, pressers = np.concatenate([grip.load, np.zeros(3)]), np.unique(grip.presser)
+    load, pressers = np.concatenate([grip.load, np.zeros(3)]), np.unique(grip.pressers)
     columns, owner = np.zeros((0, 6)), np.zeros(0, dtype=int)
     d = np.concatenate([np.eye(6), -np.eye(6)])
     stiff = 1e4  # weight of the rule that what each presser exerts is a mean of its wrenches
     for _ in range(1000):
         wrenches = contact_wrenches(grip, d)
-        scaled = [wrenches * force[grip.presser][:, None] for force in (grip.least, grip.most)]
+        scaled = [wrenches * force[grip.pressers][:, None] for force in (grip.least, grip.most)]
         columns = np.concatenate([columns, *(w.reshape(-1, 6) for w in scaled)])
-        owner = np.concatenate([owner, *[np.tile(grip.presser, len(d))] * 2])
+        owner = np.concatenate([owner, *[np.tile(grip.pressers, len(d))] * 2])
         is_own = stiff * (owner == pressers[:, None])
         share, _ = nnls(np.concatenate([columns.T, is_own]), np.concatenate([-load, np.full(len(pressers), stiff)]))
         remainder = share @ columns + load

@@ -1,11 +1,15 @@
 """Backing a hand off until it is free, and closing its fingers, for all candidates at once, on CPU and CUDA.
 
-Legend: i candidate, g its preshape, R, p its pose, c scene point, x the same in the gripper frame, d way back.
+On CUDA a warp works on one candidate, each of its lanes on a share of the points; on a CPU one thread has them all.
+
+Legend: i candidate, g its preshape, q, p its pose, x a point of the scene, u = A x + b the same in node units, levels
+the bounds that `warp_blocks` looks it up in, d way back.
 """
 
 import warp as wp
 
-from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_inside, low_node, node_units
+from graspmatch.kernels.warp_blocks import block_point, lane_min, lanes, level_of, lowest_bit, points_below
+from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate_at, is_inside, low_node
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -14,58 +18,91 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 def back_off(
     first: int,
     corridor: FieldStack,
+    points: wp.array(dtype=wp.float32),
+    levels: wp.array(dtype=wp.int32),
+    level_step: float,
+    blocks: int,
     approach: wp.vec3,
     clearance: float,
     step: float,
-    most: float,
-    scene: wp.array(dtype=wp.vec3),
     preshape_in: wp.array(dtype=wp.int32),
     position_in: wp.array(dtype=wp.vec3),
     rotation_in: wp.array(dtype=wp.quat),
     least_in: wp.array(dtype=wp.float32),
+    most_in: wp.array(dtype=wp.float32),
     retreat_out: wp.array(dtype=wp.float32),
 ):
-    """Smallest way back along the approach from which hand and approach keep their clearance; more than `most` if none.
+    """Smallest way back along the approach from which hand and approach keep their clearance; above the most if none.
 
     The way back only ever grows from point to point, so one pass over the scene finds it: what is clear of the way in
     stays clear of it, but for the stretch that backing off adds at its start. `least_in` is what is known to be needed.
     """
-    i = first + wp.tid()
+    i = first + wp.tid() / lanes()
     g = preshape_in[i]
-    q = rotation_in[i]
-    p = position_in[i]
+    A = to_node_units(corridor, rotation_in[i])
+    b = node_offset(corridor, g, A, position_in[i])
+    back = approach / corridor.spacing
+    limit = level_of(clearance, level_step)
     d = least_in[i]
-    for c in range(scene.shape[0]):
-        x = wp.quat_rotate_inv(q, scene[c] - p)
-        while d <= most and is_near(corridor, g, x + d * approach, clearance):
-            d += step
-        if d > most:
-            break
-    retreat_out[i] = d
+    most = most_in[i]
+    block = wp.tid() % lanes()
+    while block < blocks and d <= most:
+        mask = points_below(limit, corridor, levels, g, A, b + d * back, points, block)
+        while mask != wp.uint32(0):
+            x = block_point(points, block, lowest_bit(mask))
+            mask = mask & (mask - wp.uint32(1))
+            u = A * x + b
+            while d <= most and is_near(corridor, g, u + d * back, clearance):
+                d += step
+        block += lanes()
+    retreat_out[i] = -lane_min(-d)
 
 
 @wp.kernel
 def least_distance(
     first: int,
     corridor: FieldStack,
-    scene: wp.array(dtype=wp.vec3),
+    points: wp.array(dtype=wp.float32),
+    levels: wp.array(dtype=wp.int32),
+    level_step: float,
+    blocks: int,
     preshape_in: wp.array(dtype=wp.int32),
     position_in: wp.array(dtype=wp.vec3),
     rotation_in: wp.array(dtype=wp.quat),
     clearance_out: wp.array(dtype=wp.float32),
 ):
     """Smallest distance of the scene to the hand and its way in."""
-    i = first + wp.tid()
+    i = first + wp.tid() / lanes()
+    g = preshape_in[i]
+    A = to_node_units(corridor, rotation_in[i])
+    b = node_offset(corridor, g, A, position_in[i])
     smallest = float(1.0e30)
-    for c in range(scene.shape[0]):
-        x = wp.quat_rotate_inv(rotation_in[i], scene[c] - position_in[i])
-        smallest = wp.min(smallest, interpolate(corridor, preshape_in[i], x))
-    clearance_out[i] = smallest
+    block = wp.tid() % lanes()
+    while block < blocks:
+        mask = points_below(level_of(smallest, level_step), corridor, levels, g, A, b, points, block)
+        while mask != wp.uint32(0):
+            x = block_point(points, block, lowest_bit(mask))
+            mask = mask & (mask - wp.uint32(1))
+            smallest = wp.min(smallest, interpolate_at(corridor, g, A * x + b))
+        block += lanes()
+    clearance_out[i] = lane_min(smallest)
 
 
 @wp.func
-def is_near(stack: FieldStack, g: int, x: wp.vec3, distance: float) -> bool:
-    return is_inside(node_units(stack, g, x), stack.dims[g]) and interpolate(stack, g, x) < distance
+def to_node_units(stack: FieldStack, q: wp.quat) -> wp.mat33:
+    """A of u = A x + b."""
+    return wp.transpose(wp.quat_to_matrix(q)) / stack.spacing
+
+
+@wp.func
+def node_offset(stack: FieldStack, g: int, A: wp.mat33, p: wp.vec3) -> wp.vec3:
+    """b of u = A x + b."""
+    return -(A * p) - stack.origin[g] / stack.spacing
+
+
+@wp.func
+def is_near(stack: FieldStack, g: int, u: wp.vec3, distance: float) -> bool:
+    return is_inside(u, stack.dims[g]) and interpolate_at(stack, g, u) < distance
 
 
 @wp.func
@@ -95,22 +132,36 @@ def first_contact(
     first: int,
     fingers: int,
     arrival: FieldStack,
-    scene: wp.array(dtype=wp.vec3),
+    points: wp.array(dtype=wp.float32),
+    levels: wp.array(dtype=wp.int32),
+    level_step: float,
+    first_block: int,
+    end_block: int,
     preshape_in: wp.array(dtype=wp.int32),
     position_in: wp.array(dtype=wp.vec3),
     rotation_in: wp.array(dtype=wp.quat),
-    fraction_out: wp.array2d(dtype=wp.float32),
+    fraction_out: wp.array(dtype=wp.float32),
 ):
     """For each finger the closing fraction at which it meets the first scene point; `NEVER` if there is none."""
-    i = first + wp.tid()
+    i = first + wp.tid() / lanes()
+    A = to_node_units(arrival, rotation_in[i])
     g = preshape_in[i] * fingers
-    dims = arrival.dims[g]
-    for f in range(fingers):
-        fraction_out[i, f] = NEVER
-    for c in range(scene.shape[0]):
-        u = node_units(arrival, g, wp.quat_rotate_inv(rotation_in[i], scene[c] - position_in[i]))
-        if is_inside(u, dims):
-            low = low_node(u, dims)
-            within = u - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-            for f in range(fingers):
-                fraction_out[i, f] = wp.min(fraction_out[i, f], arrival_at(arrival, g + f, low, within))
+    b = node_offset(arrival, g, A, position_in[i])  # the grids of a preshape's fingers lie alike
+    f = int(0)
+    while f < fingers:
+        earliest = float(NEVER)
+        block = first_block + wp.tid() % lanes()
+        while block < end_block:
+            limit = wp.min(level_of(earliest, level_step), 255)  # the last level is that of cells never swept
+            mask = points_below(limit, arrival, levels, g + f, A, b, points, block)
+            while mask != wp.uint32(0):
+                x = block_point(points, block, lowest_bit(mask))
+                mask = mask & (mask - wp.uint32(1))
+                u = A * x + b
+                if is_inside(u, arrival.dims[g]):
+                    low = low_node(u, arrival.dims[g])
+                    within = u - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
+                    earliest = wp.min(earliest, arrival_at(arrival, g + f, low, within))
+            block += lanes()
+        fraction_out[i * fingers + f] = lane_min(earliest)
+        f += 1

@@ -7,6 +7,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
+POSITIVE = wp.constant(0x7FFFFFFF)
+"""What an index can be at most: masked by it, the compiler knows that none is negative, that is, counts from the end,
+and vectorises better."""
 NEVER = 2.0
 """Closing fraction of what a finger never meets: beyond 1, where it is closed."""
 
@@ -28,6 +31,8 @@ class NearestField:
 
     index: wp.array(dtype=wp.int32)
     points: wp.array(dtype=wp.vec3)
+    coordinates: wp.array(dtype=wp.float32)
+    """The same points: all x, then all y, then all z."""
     origin: wp.vec3
     dims: wp.vec3i
     spacing: wp.float32
@@ -73,8 +78,13 @@ def flat(node: wp.vec3i, dims: wp.vec3i) -> int:
 @wp.func
 def interpolate(stack: FieldStack, g: int, x: wp.vec3) -> float:
     """Trilinear value; outside, the border's value plus the distance to the border."""
+    return interpolate_at(stack, g, node_units(stack, g, x))
+
+
+@wp.func
+def interpolate_at(stack: FieldStack, g: int, u: wp.vec3) -> float:
+    """The same at a position in node units."""
     dims = stack.dims[g]
-    u = node_units(stack, g, x)
     v = clamp_units(u, dims)
     low = low_node(v, dims)
     f = v - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
@@ -114,93 +124,165 @@ def nearest_index(field: NearestField, x: wp.vec3) -> int:
     return best
 
 
+FINENESS = wp.constant(4096.0)
+"""Of squared distances as integers, per squared node: integers, for the compiler does not know that writing a float
+leaves the coordinates alone."""
+FARTHEST = wp.constant(500000.0)
+"""Squared distance [nodes] from which on all are alike."""
+
+
 @wp.func
-def closer(points: wp.array(dtype=wp.vec3), x: wp.vec3, a: int, b: int) -> int:
-    """Of two candidate indices (-1 is none) the one nearer to x."""
-    if a < 0:
-        return b
-    if b < 0:
-        return a
-    if wp.length_sq(points[b] - x) < wp.length_sq(points[a] - x):
-        return b
-    return a
+def try_row(
+    index_in: wp.array(dtype=wp.int32),
+    giver: int,
+    index_out: wp.array(dtype=wp.int32),
+    square_out: wp.array(dtype=wp.int32),
+    taker: int,
+    shift: int,
+    dims: wp.vec3i,
+    u: wp.array(dtype=wp.float32),
+    count: int,
+):
+    """Every node of the row `taker` along z takes the candidate of a node of the row `giver`, so much farther along it,
+    if that is nearer."""
+    x = float(taker / dims[1])
+    y = float(taker % dims[1])
+    below = wp.max(-shift, 0)
+    take = (taker * dims[2] + below) & POSITIVE
+    give = (giver * dims[2] + wp.max(shift, 0)) & POSITIVE
+    length = dims[2] - wp.abs(shift)
+    k = int(0)
+    while k < length:
+        c = index_in[give + k] & POSITIVE
+        dx = u[c] - x
+        dy = u[count + c] - y
+        dz = u[2 * count + c] - float(below + k)
+        square = int(FINENESS * wp.min(dx * dx + dy * dy + dz * dz, FARTHEST))
+        before = square_out[take + k]
+        index_out[take + k] = wp.where(square < before, c, index_out[take + k])
+        square_out[take + k] = wp.min(square, before)
+        k += 1
+
+
+@wp.func
+def farthest_of(square: wp.array(dtype=wp.int32), row: int, length: int) -> int:
+    """The largest squared distance of a row."""
+    farthest = int(0)
+    start = (row * length) & POSITIVE
+    k = int(0)
+    while k < length:
+        farthest = wp.max(farthest, square[start + k])
+        k += 1
+    return farthest
+
+
+@wp.func
+def clear_row(
+    index_out: wp.array(dtype=wp.int32), square_out: wp.array(dtype=wp.int32), row: int, length: int, none: int
+):
+    """A row without candidates."""
+    start = (row * length) & POSITIVE
+    k = int(0)
+    while k < length:
+        index_out[start + k] = none
+        square_out[start + k] = int(FINENESS * FARTHEST)
+        k += 1
 
 
 @wp.kernel
-def sweep_nearest(
+def sweep_along(
+    first: int,
+    dims: wp.vec3i,
+    count: int,
+    u: wp.array(dtype=wp.float32),
+    index_in: wp.array(dtype=wp.int32),
+    index_out: wp.array(dtype=wp.int32),
+    square_out: wp.array(dtype=wp.int32),
+):
+    """First pass of a separable distance transform that carries indices: every node of a row along z takes the nearest
+    of the candidates in its row. Passes along z, y and x give the nearest point up to the rounding of seeds to nodes.
+
+    `u` has the points in node units, all x, then all y and z; the last of them is farther than all, and stands for
+    none.
+    """
+    row = first + wp.tid()
+    x = float(row / dims[1])
+    y = float(row % dims[1])
+    clear_row(index_out, square_out, row, dims[2], count - 1)
+    start = (row * dims[2]) & POSITIVE
+    n = int(0)
+    while n < dims[2]:
+        c = index_in[row * dims[2] + n]
+        if c < count - 1:
+            dx = u[c] - x
+            dy = u[count + c] - y
+            across = dx * dx + dy * dy
+            height = u[2 * count + c]
+            k = int(0)
+            while k < dims[2]:
+                dz = height - float(k)
+                square = int(FINENESS * wp.min(across + dz * dz, FARTHEST))
+                before = square_out[start + k]
+                index_out[start + k] = wp.where(square < before, c, index_out[start + k])
+                square_out[start + k] = wp.min(square, before)
+                k += 1
+        n += 1
+
+
+@wp.kernel
+def sweep_across(
     first: int,
     axis: int,
-    origin: wp.vec3,
     dims: wp.vec3i,
-    spacing: float,
-    points: wp.array(dtype=wp.vec3),
-    seed_in: wp.array(dtype=wp.int32),
+    count: int,
+    u: wp.array(dtype=wp.float32),
+    index_in: wp.array(dtype=wp.int32),
     index_out: wp.array(dtype=wp.int32),
+    square_out: wp.array(dtype=wp.int32),
 ):
-    """One pass of a separable distance transform that carries indices: every node of one grid line takes the nearest of
-    the candidates on its line. Passes along x, y and z give the nearest point up to the rounding of seeds to nodes."""
-    line = first + wp.tid()
-    n = dims[axis]
-    stride = int(1)
-    base = int(0)
-    node = wp.vec3i(0, 0, 0)
-    if axis == 0:
-        stride = dims[1] * dims[2]
-        base = line
-        node = wp.vec3i(0, line // dims[2], line % dims[2])
-    elif axis == 1:
-        stride = dims[2]
-        base = (line // dims[2]) * dims[1] * dims[2] + line % dims[2]
-        node = wp.vec3i(line // dims[2], 0, line % dims[2])
-    else:
-        base = line * dims[2]
-        node = wp.vec3i(line // dims[1], line % dims[1], 0)
-    start = origin + spacing * wp.vec3(float(node[0]), float(node[1]), float(node[2]))
-    step = wp.vec3(0.0, 0.0, 0.0)
-    step[axis] = spacing
-    for i in range(n):
-        x = start + float(i) * step
-        best = seed_in[base + i * stride]
-        reach = float(1.0e30)
-        if best >= 0:
-            reach = wp.length(points[best] - x)
-        d = int(1)
-        # A candidate d nodes away lies at least (d - 1/2) spacings off along this axis.
-        while d < n and (float(d) - 0.5) * spacing < reach:
-            if i >= d:
-                best = closer(points, x, best, seed_in[base + (i - d) * stride])
-            if i + d < n:
-                best = closer(points, x, best, seed_in[base + (i + d) * stride])
-            if best >= 0:
-                reach = wp.length(points[best] - x)
-            d += 1
-        index_out[base + i * stride] = best
+    """The other passes, along x (axis 0) and y (axis 1): from row to row."""
+    row = first + wp.tid()
+    at = row / dims[1]
+    stride = dims[1]
+    if axis == 1:
+        at = row % dims[1]
+        stride = int(1)
+    clear_row(index_out, square_out, row, dims[2], count - 1)
+    try_row(index_in, row, index_out, square_out, row, 0, dims, u, count)
+    farthest = farthest_of(square_out, row, dims[2])
+    d = int(1)
+    # A candidate d rows away lies at least d - 1/2 nodes off.
+    while d < dims[axis] and FINENESS * (float(d) - 0.5) * (float(d) - 0.5) < float(farthest):
+        if at >= d:
+            try_row(index_in, row - d * stride, index_out, square_out, row, 0, dims, u, count)
+        if at + d < dims[axis]:
+            try_row(index_in, row + d * stride, index_out, square_out, row, 0, dims, u, count)
+        farthest = farthest_of(square_out, row, dims[2])
+        d += 1
 
 
 @wp.kernel
 def refine_nearest(
     first: int,
-    origin: wp.vec3,
     dims: wp.vec3i,
-    spacing: float,
-    points: wp.array(dtype=wp.vec3),
+    count: int,
+    u: wp.array(dtype=wp.float32),
     index_in: wp.array(dtype=wp.int32),
     index_out: wp.array(dtype=wp.int32),
+    square_out: wp.array(dtype=wp.int32),
 ):
-    """Every node also tries the candidates of its 26 neighbours, which mends most of what rounding lost."""
-    at = first + wp.tid()
-    i = at // (dims[1] * dims[2])
-    j = (at // dims[2]) % dims[1]
-    k = at % dims[2]
-    x = origin + spacing * wp.vec3(float(i), float(j), float(k))
-    best = index_in[at]
-    for a in range(wp.max(i - 1, 0), wp.min(i + 2, dims[0])):
-        for b in range(wp.max(j - 1, 0), wp.min(j + 2, dims[1])):
-            for c in range(wp.max(k - 1, 0), wp.min(k + 2, dims[2])):
-                candidate = index_in[(a * dims[1] + b) * dims[2] + c]
-                if candidate != best:
-                    best = closer(points, x, best, candidate)
-    index_out[at] = best
+    """Every node of a row along z also tries the candidates of its 26 neighbours, which mends most of what rounding
+    lost."""
+    row = first + wp.tid()
+    clear_row(index_out, square_out, row, dims[2], count - 1)
+    i = wp.max(row / dims[1] - 1, 0)
+    while i < wp.min(row / dims[1] + 2, dims[0]):
+        j = wp.max(row % dims[1] - 1, 0)
+        while j < wp.min(row % dims[1] + 2, dims[1]):
+            for shift in range(-1, 2):
+                try_row(index_in, i * dims[1] + j, index_out, square_out, row, shift, dims, u, count)
+            j += 1
+        i += 1
 
 
 @wp.kernel

@@ -1,21 +1,41 @@
-"""One iteration of Algorithm 1 for all particles of all preshapes at once, for CPU and CUDA.
+"""The loss of a match and its gradients, for CPU and CUDA; `warp_steps` has the steps that follow them.
 
 A particle is a pose of one preshape: p, the position of the preshape's pivot (the centre of its inner surface S) in the
 object frame, and q, the rotation. Samples s, and x in the fields of the hand, are relative to that pivot. Updates are a
 translation of the pivot and a rotation vector w in the object frame: the chart in which the Gauss-Newton matrix of the
 matching error is the identity and the inertia of S, which is what the preconditioner A of eq. (3) inverts.
 
-Legend: i particle, g its preshape, R rotation, r point of the object, c centre of mass, gt and gw gradients.
+On CUDA a warp works on one particle, each of its lanes on a share of the points; on a CPU one thread has them all.
+
+What is looped over lies in arrays that the kernels get directly, coordinate by coordinate, so that a CPU vectorises the
+loops (see `warp_blocks`): `samples`, of each preshape in the order of its mini-batches, first all x, then all y, z and
+weights; `goals`, the points of R, likewise; `points`, C in blocks; `outline`, the hands' corners in blocks.
+
+Legend: i particle, g its preshape, R rotation, p its position, r residual, gt and gw gradients, levels the bounds that
+`warp_blocks` looks points up in.
 """
 
 import warp as wp
 
-from graspmatch.kernels.warp_fields import FieldStack, NearestField, interpolate, is_inside, nearest_index, node_units
+from graspmatch.kernels.warp_blocks import (
+    BLOCK,
+    bits_below,
+    block_point,
+    lane_sum,
+    lane_sum_of,
+    lanes,
+    lowest_bit,
+    points_below,
+    points_under,
+)
+from graspmatch.kernels.warp_fields import FieldStack, NearestField, interpolate_at
 
-wp.set_module_options({"enable_backward": False, "fast_math": False})
+FLAGS = f"{wp.config.cpu_compiler_flags or '-march=native'} -mreassociate"
+"""For the CPU: sums of floats may be vectorised, and so be added up in another order."""
+wp.set_module_options({"enable_backward": False, "fast_math": False, "cpu_compiler_flags": FLAGS})
 
-NONE = 1.0e30
-"""Loss of a particle that never was free."""
+NONE = wp.constant(1.0e30)
+"""Loss of a particle that is not, or never was, free."""
 
 
 @wp.struct
@@ -30,17 +50,19 @@ class Hand:
     inverse_inertia: wp.array(dtype=wp.mat33)
     distance: FieldStack
     nearest_sample: wp.array(dtype=wp.int32)
-    outline: wp.array(dtype=wp.vec3)
     outline_start: wp.array(dtype=wp.int32)
+    """First block of its corners."""
     outline_count: wp.array(dtype=wp.int32)
+    """Number of its corners."""
 
 
 @wp.struct
 class Surroundings:
-    """C of the paper: points of the target, then those of obstacles, and the table as the plane normal . x = offset."""
+    """C of the paper but for the coordinates of its points: so many blocks of them, first those of the target, then
+    those of obstacles, and the table as the plane normal . x = offset."""
 
-    points: wp.array(dtype=wp.vec3)
-    targets: wp.int32
+    blocks: wp.int32
+    target_blocks: wp.int32
     normal: wp.vec3
     offset: wp.float32
     has_table: wp.int32
@@ -62,6 +84,7 @@ class Particles:
     colliding: wp.array(dtype=wp.int32)
     is_converged: wp.array(dtype=wp.int32)
     best_loss: wp.array(dtype=wp.float32)
+    best_error: wp.array(dtype=wp.float32)
     best_position: wp.array(dtype=wp.vec3)
     best_rotation: wp.array(dtype=wp.quat)
 
@@ -81,280 +104,232 @@ class Terms:
     longest_step: float
 
 
+@wp.struct
+class Slope:
+    """What one gradient pass finds at a pose."""
+
+    by_position: wp.vec3
+    by_rotation: wp.vec3
+    error: wp.float32
+    loss: wp.float32
+    colliding: wp.int32
+
+
 @wp.func
 def matching_pass(
     hand: Hand,
-    shuffled: wp.array(dtype=wp.int32),
+    samples: wp.array(dtype=wp.float32),
     target: NearestField,
+    nearest: wp.array(dtype=wp.int32),
+    goals: wp.array(dtype=wp.float32),
     g: int,
     p: wp.vec3,
-    q: wp.quat,
-    offset: int,
-    size: int,
+    R: wp.mat33,
+    batch: wp.vec2i,
+    lane: int,
 ):
-    """Eqs. (1), (14) and the sums of (16) and (17) over a mini-batch: `size` of the shuffled samples from `offset`."""
-    gt = wp.vec3(0.0, 0.0, 0.0)
-    gw = wp.vec3(0.0, 0.0, 0.0)
+    """Eqs. (1), (14) and the sums of (16) and (17) over a mini-batch: so many samples from its first on, around the end
+    of them all. Per component, for the compiler does not vectorise sums of vectors."""
+    count = hand.samples.shape[0]
+    start = hand.start[g]
+    gx, gy, gz = float(0.0), float(0.0), float(0.0)
+    wx, wy, wz = float(0.0), float(0.0), float(0.0)
     error = float(0.0)
     mass = float(0.0)
-    count = hand.count[g]
-    for b in range(size):
-        at = hand.start[g] + shuffled[hand.start[g] + (offset + b) % count]
-        lever = wp.quat_rotate(q, hand.samples[at])
-        residual = p + lever - target.points[nearest_index(target, p + lever)]
-        weight = hand.weights[at]
-        gt += weight * residual
-        gw += weight * wp.cross(lever, residual)
-        error += weight * wp.length_sq(residual)
-        mass += weight
-    return gt / mass, gw / mass, error / mass
+    turn = int(0)
+    while turn < 2:  # up to the end of the samples, and from their start
+        at = start + batch[0] + lane
+        end = start + wp.min(batch[0] + batch[1], hand.count[g])
+        if turn == 1:
+            at = start + lane
+            end = start + batch[0] + batch[1] - hand.count[g]
+        while at < end:
+            sx, sy, sz = samples[at], samples[count + at], samples[2 * count + at]
+            weight = samples[3 * count + at]
+            lx = R[0, 0] * sx + R[0, 1] * sy + R[0, 2] * sz
+            ly = R[1, 0] * sx + R[1, 1] * sy + R[1, 2] * sz
+            lz = R[2, 0] * sx + R[2, 1] * sy + R[2, 2] * sz
+            rx, ry, rz, square = nearest_residual(target, nearest, goals, p[0] + lx, p[1] + ly, p[2] + lz)
+            gx += weight * rx
+            gy += weight * ry
+            gz += weight * rz
+            wx += weight * (ly * rz - lz * ry)
+            wy += weight * (lz * rx - lx * rz)
+            wz += weight * (lx * ry - ly * rx)
+            error += weight * square
+            mass += weight
+            at += lanes()
+        turn += 1
+    share = 1.0 / lane_sum(mass)
+    gt = lane_sum_of(wp.vec3(gx, gy, gz))
+    gw = lane_sum_of(wp.vec3(wx, wy, wz))
+    return share * gt, share * gw, share * lane_sum(error)
 
 
 @wp.func
-def collision_pass(hand: Hand, scene: Surroundings, g: int, p: wp.vec3, q: wp.quat):
+def nearest_residual(
+    target: NearestField,
+    nearest: wp.array(dtype=wp.int32),
+    goals: wp.array(dtype=wp.float32),
+    x: float,
+    y: float,
+    z: float,
+):
+    """From the nearest point of R to (x, y, z), and the square of its length: the best of the candidates that the eight
+    nodes around carry, as in `nearest_index`."""
+    count = target.points.shape[0]
+    scale = 1.0 / target.spacing
+    i = wp.min(wp.max(int((x - target.origin[0]) * scale), 0), target.dims[0] - 2)
+    j = wp.min(wp.max(int((y - target.origin[1]) * scale), 0), target.dims[1] - 2)
+    k = wp.min(wp.max(int((z - target.origin[2]) * scale), 0), target.dims[2] - 2)
+    at = (i * target.dims[1] + j) * target.dims[2] + k
+    dx = target.dims[1] * target.dims[2]
+    dy = target.dims[2]
+    rx, ry, rz = float(0.0), float(0.0), float(0.0)
+    least = float(1.0e30)
+    for corner in range(8):
+        c = nearest[at + (corner & 1) + ((corner >> 1) & 1) * dy + (corner >> 2) * dx]
+        ax = x - goals[c]
+        ay = y - goals[count + c]
+        az = z - goals[2 * count + c]
+        square = ax * ax + ay * ay + az * az
+        is_nearer = square < least
+        rx = wp.where(is_nearer, ax, rx)
+        ry = wp.where(is_nearer, ay, ry)
+        rz = wp.where(is_nearer, az, rz)
+        least = wp.where(is_nearer, square, least)
+    return rx, ry, rz, least
+
+
+@wp.func
+def collision_pass(
+    hand: Hand,
+    scene: Surroundings,
+    points: wp.array(dtype=wp.float32),
+    outline: wp.array(dtype=wp.float32),
+    levels: wp.array(dtype=wp.int32),
+    g: int,
+    p: wp.vec3,
+    R: wp.mat33,
+    lane: int,
+):
     """Eqs. (12) and (18): the scene in the hand's frame, its points inside the hand, and the pull of a surface of the
     hand towards each. For the target it is the inner surface, so that the object ends up between the fingers. Obstacles
     and table must get out of the hand where they came in: the nearest surface, the corner that is below."""
     gt = wp.vec3(0.0, 0.0, 0.0)
     gw = wp.vec3(0.0, 0.0, 0.0)
     colliding = int(0)
-    dims = hand.distance.dims[g]
-    for c in range(scene.points.shape[0]):
-        x = wp.quat_rotate_inv(q, scene.points[c] - p)
-        u = node_units(hand.distance, g, x)
-        depth = float(0.0)
-        if is_inside(u, dims):
-            depth = -interpolate(hand.distance, g, x)
-        if depth > 0.0:
-            s = x
-            if c < scene.targets:
-                node = (int(u[0] + 0.5) * dims[1] + int(u[1] + 0.5)) * dims[2] + int(u[2] + 0.5)
-                s = hand.samples[hand.start[g] + hand.nearest_sample[hand.distance.start[g] + node]]
-            else:
-                s = x + depth * outwards(hand.distance, g, x)
-            lever = wp.quat_rotate(q, s)
-            residual = p + lever - scene.points[c]
-            gt += residual
-            gw += wp.cross(lever, residual)
-            colliding += 1
-    if scene.has_table != 0:
-        for v in range(hand.outline_count[g]):
-            lever = wp.quat_rotate(q, hand.outline[hand.outline_start[g] + v])
-            height = wp.dot(scene.normal, p + lever) - scene.offset
-            if height < 0.0:
-                gt += height * scene.normal
-                gw += height * wp.cross(lever, scene.normal)
+    field = hand.distance
+    A = wp.transpose(R) / field.spacing
+    b = -(A * p) - field.origin[g] / field.spacing
+    block = lane
+    while block < scene.blocks:
+        mask = points_below(1, field, levels, g, A, b, points, block)
+        while mask != wp.uint32(0):
+            x = block_point(points, block, lowest_bit(mask))
+            mask = mask & (mask - wp.uint32(1))
+            u = A * x + b
+            depth = -interpolate_at(field, g, u)
+            if depth > 0.0:
+                lever = x - p
+                if block < scene.target_blocks:
+                    lever = R * nearest_sample(hand, g, u)
+                else:
+                    lever += depth * (R * outwards(field, g, u))
+                residual = p + lever - x
+                gt += residual
+                gw += wp.cross(lever, residual)
                 colliding += 1
+        block += lanes()
+    if scene.has_table != 0:
+        up = wp.transpose(R) * scene.normal
+        level = scene.offset - wp.dot(scene.normal, p)  # of the table above the pivot
+        corners = hand.outline_count[g]
+        block = lane
+        while block * BLOCK < corners:
+            corner = hand.outline_start[g] + block
+            mask = points_under(up, level, outline, corner) & bits_below(corners - block * BLOCK)
+            while mask != wp.uint32(0):
+                s = block_point(outline, corner, lowest_bit(mask))
+                mask = mask & (mask - wp.uint32(1))
+                height = wp.dot(up, s) - level
+                gt += height * scene.normal
+                gw += height * wp.cross(R * s, scene.normal)
+                colliding += 1
+            block += lanes()
+    colliding = int(lane_sum(float(colliding)))
     scale = 1.0 / float(wp.max(colliding, 1))
-    return scale * gt, scale * gw, colliding
+    return scale * lane_sum_of(gt), scale * lane_sum_of(gw), colliding
 
 
 @wp.func
-def outwards(stack: FieldStack, g: int, x: wp.vec3) -> wp.vec3:
-    """Direction in which a distance field grows."""
-    h = 0.5 * stack.spacing
-    dx = wp.vec3(h, 0.0, 0.0)
-    dy = wp.vec3(0.0, h, 0.0)
-    dz = wp.vec3(0.0, 0.0, h)
+def nearest_sample(hand: Hand, g: int, u: wp.vec3) -> wp.vec3:
+    """The sample nearest to the node that is nearest to a position in node units."""
+    dims = hand.distance.dims[g]
+    node = (int(u[0] + 0.5) * dims[1] + int(u[1] + 0.5)) * dims[2] + int(u[2] + 0.5)
+    return hand.samples[hand.start[g] + hand.nearest_sample[hand.distance.start[g] + node]]
+
+
+@wp.func
+def outwards(stack: FieldStack, g: int, u: wp.vec3) -> wp.vec3:
+    """Direction in which a distance field grows, at a position in node units."""
+    dx = wp.vec3(0.5, 0.0, 0.0)
+    dy = wp.vec3(0.0, 0.5, 0.0)
+    dz = wp.vec3(0.0, 0.0, 0.5)
     return wp.normalize(
         wp.vec3(
-            interpolate(stack, g, x + dx) - interpolate(stack, g, x - dx),
-            interpolate(stack, g, x + dy) - interpolate(stack, g, x - dy),
-            interpolate(stack, g, x + dz) - interpolate(stack, g, x - dz),
+            interpolate_at(stack, g, u + dx) - interpolate_at(stack, g, u - dx),
+            interpolate_at(stack, g, u + dy) - interpolate_at(stack, g, u - dy),
+            interpolate_at(stack, g, u + dz) - interpolate_at(stack, g, u - dz),
         )
     )
 
 
-@wp.kernel
-def gradients(
-    first: int,
+@wp.func
+def slope_at(
     hand: Hand,
-    shuffled: wp.array(dtype=wp.int32),
+    samples: wp.array(dtype=wp.float32),
     target: NearestField,
+    nearest: wp.array(dtype=wp.int32),
+    goals: wp.array(dtype=wp.float32),
     scene: Surroundings,
+    points: wp.array(dtype=wp.float32),
+    outline: wp.array(dtype=wp.float32),
+    levels: wp.array(dtype=wp.int32),
     terms: Terms,
-    batch_offset: wp.array(dtype=wp.int32),
-    batch_size: wp.array(dtype=wp.int32),
-    settle: int,
-    remember: int,
-    particles: Particles,
-):
-    """Gradients of one particle: eqs. (16), (17), or (4), (5) of eq. (18) where it collides."""
-    i = first + wp.tid()
-    if particles.is_converged[i] != 0:
-        return
-    g = particles.preshape[i]
-    p = particles.position[i]
-    q = particles.rotation[i]
-    size = batch_size[g]
-    gt, gw, error = matching_pass(hand, shuffled, target, g, p, q, batch_offset[g], size)
-    lever = wp.quat_rotate(q, hand.tool_centre_point[g])
-    residual = p + lever - terms.com
-    loss = error + terms.com_weight * wp.length_sq(residual)
-    weight = terms.com_gradient_weight
-    if weight < 0.0:  # the printed scale: one pair among the m of the batch
-        weight = -weight / float(size)
-    # A: the inverse Gauss-Newton matrix of what was summed.
-    gt = (gt + weight * residual) / (1.0 + weight)
-    gw += weight * wp.cross(lever, residual)
-    ct, cw, colliding = collision_pass(hand, scene, g, p, q)
-    if colliding > 0:
-        gt = ct
-        gw = cw
-    elif settle != 0:
-        previous = particles.loss[i]
-        if wp.abs(previous - loss) <= terms.convergence * previous:
-            particles.is_converged[i] = 1
-    if remember != 0 and colliding == 0 and loss < particles.best_loss[i]:
-        particles.best_loss[i] = loss
-        particles.best_position[i] = p
-        particles.best_rotation[i] = q
-    particles.gradient_position[i] = gt
-    particles.gradient_rotation[i] = wp.quat_rotate(q, hand.inverse_inertia[g] * wp.quat_rotate_inv(q, gw))
-    particles.matching_error[i] = error
-    particles.loss[i] = loss
-    particles.colliding[i] = colliding
-
-
-@wp.kernel
-def take_best(first: int, particles: Particles):
-    """Go back to the best free pose, where there was one."""
-    i = first + wp.tid()
-    if particles.best_loss[i] < NONE:
-        particles.position[i] = particles.best_position[i]
-        particles.rotation[i] = particles.best_rotation[i]
+    g: int,
+    p: wp.vec3,
+    q: wp.quat,
+    batch: wp.vec2i,
+    want_loss: int,
+    lane: int,
+) -> Slope:
+    """Gradients at a pose: eqs. (16), (17), or (4), (5) of eq. (18) where the hand collides. There the matching has no
+    say, and is left out unless its loss is wanted."""
+    found = Slope()
+    R = wp.quat_to_matrix(q)
+    gt, gw, colliding = collision_pass(hand, scene, points, outline, levels, g, p, R, lane)
+    found.loss = NONE
+    if colliding == 0 or want_loss != 0:
+        mt, mw, error = matching_pass(hand, samples, target, nearest, goals, g, p, R, batch, lane)
+        lever = R * hand.tool_centre_point[g]
+        residual = p + lever - terms.com
+        found.error = error
+        found.loss = error + terms.com_weight * wp.length_sq(residual)
+        if colliding == 0:
+            weight = terms.com_gradient_weight
+            if weight < 0.0:  # the printed scale: one pair among the m of the batch
+                weight = -weight / float(batch[1])
+            # A: the inverse Gauss-Newton matrix of what was summed.
+            gt = (mt + weight * residual) / (1.0 + weight)
+            gw = mw + weight * wp.cross(lever, residual)
+    found.by_position = gt
+    found.by_rotation = hand_turn(hand, g, R, gw)
+    found.colliding = colliding
+    return found
 
 
 @wp.func
-def turn(q: wp.quat, w: wp.vec3) -> wp.quat:
-    """The rotation q followed by the rotation vector w, at most half a radian of it."""
-    angle = wp.length(w)
-    if angle < 1.0e-9:
-        return q
-    return wp.normalize(wp.quat_from_axis_angle(w / angle, wp.min(angle, 0.5)) * q)
-
-
-@wp.kernel
-def descend(first: int, terms: Terms, particles: Particles):
-    """Eq. (3): theta - eta A g."""
-    i = first + wp.tid()
-    if particles.is_converged[i] != 0:
-        return
-    particles.position[i] = particles.position[i] - terms.learning_rate * particles.gradient_position[i]
-    particles.rotation[i] = turn(particles.rotation[i], -terms.learning_rate * particles.gradient_rotation[i])
-
-
-@wp.func
-def kernel_slope(a: wp.quat, b: wp.quat) -> wp.vec3:
-    """Gradient of |a . b| (10) along the sphere by a, as the rotation vector that it turns b by: away from a, the same
-    for a and -a, zero where they agree."""
-    d = b * wp.quat_inverse(a)
-    return 0.5 * wp.sign(d[3]) * wp.vec3(d[0], d[1], d[2])
-
-
-@wp.func
-def prior_slope(seed: wp.quat, q: wp.quat) -> wp.vec3:
-    """Gradient of -cos(angle), the negative log of a von Mises prior around the seed: sin(angle) axis."""
-    d = q * wp.quat_inverse(seed)
-    return 2.0 * d[3] * wp.vec3(d[0], d[1], d[2])
-
-
-@wp.func
-def shortened(v: wp.vec3, most: float) -> wp.vec3:
-    """The vector, no longer than `most`."""
-    return v * wp.min(1.0, most / wp.max(wp.length(v), 1.0e-9))
-
-
-@wp.kernel
-def stein(
-    first: int,
-    gamma: float,
-    terms: Terms,
-    hand: Hand,
-    group_start: wp.array(dtype=wp.int32),
-    group_count: wp.array(dtype=wp.int32),
-    particles: Particles,
-    position_out: wp.array(dtype=wp.vec3),
-    rotation_out: wp.array(dtype=wp.quat),
-):
-    """Eqs. (7), (8): each particle moves along the kernel-weighted gradients of its preshape's particles and away from
-    them, k being the product of (9) and (10). Dividing by the kernel's mass makes eta = 1 a Gauss-Newton step both for
-    a lone particle and in a crowd."""
-    i = first + wp.tid()
-    g = particles.preshape[i]
-    start = group_start[g]
-    count = group_count[g]
-    n = float(hand.count[g])
-    p = particles.position[i]
-    q = particles.rotation[i]
-    mean = wp.vec3(0.0, 0.0, 0.0)
-    square = float(0.0)
-    for j in range(start, start + count):
-        mean += particles.position[j] / float(count)
-        square += wp.length_sq(particles.position[j]) / float(count)
-    # Bandwidth by the mean squared distance over log K, the median rule without a sort.
-    h = wp.max(2.0 * (square - wp.length_sq(mean)) / wp.log(float(count) + 1.0), 1.0e-8)
-    inverse_t = 1.0 / (1.0 + wp.max(terms.com_gradient_weight, 0.0))  # the translational block of A
-    drift_t = wp.vec3(0.0, 0.0, 0.0)
-    drift_w = wp.vec3(0.0, 0.0, 0.0)
-    away_t = wp.vec3(0.0, 0.0, 0.0)
-    away_w = wp.vec3(0.0, 0.0, 0.0)
-    mass = float(0.0)
-    for j in range(start, start + count):
-        apart = p - particles.position[j]
-        k_t = wp.exp(-wp.length_sq(apart) / h)
-        k = k_t * wp.abs(wp.dot(particles.rotation[j], q))
-        prior_t = terms.prior_precision * (particles.position[j] - particles.seed_position[j])
-        prior_w = terms.prior_concentration * prior_slope(particles.seed_rotation[j], particles.rotation[j])
-        drift_t += k * (particles.gradient_position[j] + inverse_t * prior_t / n)
-        drift_w += k * (particles.gradient_rotation[j] + hand_turn(hand, g, particles.rotation[j], prior_w) / n)
-        away_t += (2.0 / h) * k * apart
-        away_w += k_t * kernel_slope(particles.rotation[j], q)
-        mass += k
-    move = (-gamma * drift_t + terms.repulsion * inverse_t * away_t / n) / mass
-    spin = (-gamma * drift_w + terms.repulsion * hand_turn(hand, g, q, away_w) / n) / mass
-    position_out[i] = p + shortened(terms.learning_rate * move, terms.longest_step)
-    rotation_out[i] = turn(q, terms.learning_rate * spin)
-
-
-@wp.func
-def hand_turn(hand: Hand, g: int, q: wp.quat, w: wp.vec3) -> wp.vec3:
+def hand_turn(hand: Hand, g: int, R: wp.mat33, w: wp.vec3) -> wp.vec3:
     """The rotational block of A, applied to a gradient in the object frame."""
-    return wp.quat_rotate(q, hand.inverse_inertia[g] * wp.quat_rotate_inv(q, w))
-
-
-@wp.kernel
-def align(first: int, hand: Hand, target: NearestField, terms: Terms, particles: Particles):
-    """Eq. (2) in closed form (SVD) for one particle; one that collides follows its collision gradient instead."""
-    i = first + wp.tid()
-    if particles.is_converged[i] != 0:
-        return
-    g = particles.preshape[i]
-    p = particles.position[i]
-    q = particles.rotation[i]
-    if particles.colliding[i] > 0:
-        particles.position[i] = p - particles.gradient_position[i]
-        particles.rotation[i] = turn(q, -particles.gradient_rotation[i])
-        return
-    source = wp.vec3(0.0, 0.0, 0.0)
-    goal = wp.vec3(0.0, 0.0, 0.0)
-    product = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    mass = float(0.0)
-    for b in range(hand.count[g] + 1):
-        s = hand.tool_centre_point[g]
-        r = terms.com
-        weight = terms.com_weight * mass  # the centre-of-mass pair comes last, and weighs as much as all samples
-        if b < hand.count[g]:
-            s = hand.samples[hand.start[g] + b]
-            r = target.points[nearest_index(target, p + wp.quat_rotate(q, s))]
-            weight = hand.weights[hand.start[g] + b]
-        source += weight * s
-        goal += weight * r
-        product += weight * wp.outer(r, s)
-        mass += weight
-    covariance = product / mass - wp.outer(goal / mass, source / mass)
-    U, sigma, V = wp.svd3(covariance)
-    mirror = wp.vec3(1.0, 1.0, wp.sign(wp.determinant(U) * wp.determinant(V)))
-    R = U * wp.diag(mirror) * wp.transpose(V)
-    particles.rotation[i] = wp.normalize(wp.quat_from_matrix(R))
-    particles.position[i] = goal / mass - R * (source / mass)
+    return R * (hand.inverse_inertia[g] * (wp.transpose(R) * w))

@@ -10,13 +10,13 @@ from jaxtyping import Float, Int
 
 from graspmatch.config import CollisionConfig
 from graspmatch.geometry import se3
+from graspmatch.kernels.fields import BlockCloud, in_block_order, upload_blocks
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_avoid import back_off, least_distance
-from graspmatch.kernels.warp_fields import FieldStack
+from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.planner.candidates import Candidates, Free, Matched
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.thin import thinned
-from graspmatch.planner.upload import pose_arrays, upload_gripper
+from graspmatch.planner.upload import DISTANCE_STEP, DeviceHand, pose_arrays, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Plane
 
@@ -27,19 +27,27 @@ COARSE_POINTS = 2000
 
 
 def keep_free(
-    matched: Matched, scene: Scene, gripper: Gripper, config: CollisionConfig, device: str, tally: Tally
+    matched: Matched,
+    scene: Scene,
+    gripper: Gripper,
+    config: CollisionConfig,
+    device: str,
+    tally: Tally,
+    space: Space | None = None,
 ) -> Free:
     """Matches opened and backed off along their approach until hand and way in are clear, less those that never are.
 
     Matching leaves the inner surface on the object, scan noise and all. A wider preshape at the same pose makes room
     between the fingers, a few millimetres back make room for the palm, and a match that went too deep gets shallower.
+    `space` is the scene where it has been uploaded before.
     """
-    space = upload_space(scene, gripper, device)
-    posture, from_table, from_points = choose_posture(matched, space, config)
+    space = space or upload_space(scene, gripper, device)
+    posture, from_table, needed = choose_posture(matched, space, config)
     is_above = tally.keep(from_table <= config.largest_retreat, "in collision with the table")
-    matched, posture = matched.select(is_above), posture[is_above]
-    needed = np.maximum(from_table, from_points)[is_above]
-    retreat = point_retreat(Candidates(posture, matched.T_world_gripper), space, space.points, config, needed)
+    matched, posture, needed = matched.select(is_above), posture[is_above], needed[is_above]
+    most = np.full(len(matched), config.largest_retreat)
+    opened = Candidates(posture, matched.T_world_gripper)
+    retreat = point_retreat(opened, space, space.points, config.clearance, needed, most)
     is_clear = tally.keep(retreat <= config.largest_retreat, "in collision with object or obstacles on the way in")
     free = backed_off(matched.select(is_clear), posture[is_clear], retreat[is_clear], space)
     # Backing off also moves the start of the way in, which was not looked at before.
@@ -49,20 +57,24 @@ def keep_free(
 def choose_posture(
     matched: Matched, space: Space, config: CollisionConfig
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """The preshape, as matched or wider, that needs the shortest way back, and that way for table and points [m]."""
+    """The preshape, as matched or wider, that needs the shortest way back; the least that the table asks of any of
+    them, and that way [m], infinite where it is too long."""
     posture, trial = matched.preshape.copy(), matched.preshape.copy()
-    from_table, from_points = (np.full(len(matched), np.inf) for _ in range(2))
+    from_table, needed = (np.full(len(matched), np.inf) for _ in range(2))
     wider = wider_preshapes(space.gripper)
+    height = heights_of_all(matched, space)
     while True:
-        retry = np.flatnonzero((np.maximum(from_table, from_points) > RETREAT_STEP) & (trial >= 0))
+        retry = np.flatnonzero((needed > RETREAT_STEP) & (trial >= 0))
         if len(retry) == 0:
-            return posture, from_table, from_points
+            return posture, from_table, needed
         opened = Candidates(trial[retry], matched.T_world_gripper[retry])
-        table = table_retreat(opened, space, config)
-        points = point_retreat(opened, space, space.coarse, config, np.zeros(len(opened)))
-        better = np.maximum(table, points) < np.maximum(from_table, from_points)[retry]
+        table = table_retreat(opened, height[retry, trial[retry]], space, config)
+        from_table[retry] = np.minimum(from_table[retry], table)
+        most = np.minimum(needed[retry], config.largest_retreat)  # who needs more is no better
+        found = point_retreat(opened, space, space.coarse, config.clearance, table, most)
+        better = (found <= most) & (found < needed[retry])
         chosen = retry[better]
-        posture[chosen], from_table[chosen], from_points[chosen] = trial[chosen], table[better], points[better]
+        posture[chosen], needed[chosen] = trial[chosen], found[better]
         trial = np.where((trial >= 0) & config.may_open, wider[trial], -1)
 
 
@@ -72,22 +84,29 @@ class Space:
 
     gripper: Gripper
     table: Plane | None
-    points: wp.array
+    points: BlockCloud
     """Target and obstacles, object frame."""
-    coarse: wp.array
-    """The same, thinned."""
+    coarse: BlockCloud
+    """Every so manieth of them."""
     centre_of_mass: Float[np.ndarray, "3"]
-    corridor: FieldStack
+    hand: DeviceHand
     device: str
 
 
 def upload_space(scene: Scene, gripper: Gripper, device: str) -> Space:
     """The whole cloud: with points every 2.5 mm and 2 mm of clearance hardly anything slips between them."""
-    solid = np.concatenate([scene.target.points, scene.obstacles.points]) - scene.centre_of_mass
-    points = wp.array(solid, dtype=wp.vec3, device=device)
-    coarse = wp.array(thinned(solid, COARSE_POINTS), dtype=wp.vec3, device=device)
-    corridor = upload_gripper(gripper, device).corridor
-    return Space(gripper, scene.table, points, coarse, scene.centre_of_mass, corridor, device)
+    clouds = [in_block_order(cloud.points - scene.centre_of_mass) for cloud in (scene.target, scene.obstacles)]
+    every = max(sum(len(cloud) for cloud in clouds) // COARSE_POINTS, 1)
+    coarse = [cloud[::every] for cloud in clouds]
+    return Space(
+        gripper=gripper,
+        table=scene.table,
+        points=upload_blocks(clouds, device, scattered=True),
+        coarse=upload_blocks(coarse, device, scattered=True),
+        centre_of_mass=scene.centre_of_mass,
+        hand=upload_gripper(gripper, device),
+        device=device,
+    )
 
 
 def wider_preshapes(gripper: Gripper) -> Int[np.ndarray, "p"]:
@@ -121,15 +140,21 @@ def backed_off(matched: Matched, posture: Int[np.ndarray, "n"], retreat: Float[n
 
 
 def point_retreat(
-    candidates: Candidates, space: Space, points: wp.array, config: CollisionConfig, least: Float[np.ndarray, "n"]
+    candidates: Candidates,
+    space: Space,
+    points: BlockCloud,
+    clearance: float,
+    least: Float[np.ndarray, "n"],
+    most: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n"]:
-    """How far, from `least` on, each candidate must back off to clear all points [m]; above the limit if it cannot."""
+    """How far, from `least` on, each candidate must back off to keep its clearance of all points [m]; more than `most`
+    if that is not enough."""
     retreat = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
-    limits = [wp.vec3(*space.gripper.approach), config.clearance, RETREAT_STEP, config.largest_retreat]
+    way = [wp.vec3(*space.gripper.approach), clearance, RETREAT_STEP]
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
-    start = wp.array(least, dtype=wp.float32, device=space.device)
-    inputs = [space.corridor, *limits, points, *poses, start]
-    launch(back_off, len(candidates), inputs, [retreat], space.device)
+    bounds = [wp.array(bound, dtype=wp.float32, device=space.device) for bound in (least, most)]
+    inputs = [*corridor_inputs(space, points), *way, *poses, *bounds]
+    launch(back_off, len(candidates), inputs, [retreat], space.device, lanes=LANES, chunks=4)
     return retreat.numpy().astype(float)
 
 
@@ -137,15 +162,24 @@ def point_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "
     """Smallest distance of hand and way in to any point [m]."""
     clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
-    launch(least_distance, len(candidates), [space.corridor, space.points, *poses], [clearance], space.device)
+    inputs = [*corridor_inputs(space, space.points), *poses]
+    launch(least_distance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=4)
     return clearance.numpy().astype(float)
 
 
-def table_retreat(candidates: Candidates, space: Space, config: CollisionConfig) -> Float[np.ndarray, "n"]:
-    """How far each candidate must back off to clear the table [m]; infinite where backing off leads into it."""
+def corridor_inputs(space: Space, points: BlockCloud) -> list:
+    """Hand, way in and points as the kernels take them."""
+    return [space.hand.corridor, points.points, space.hand.corridor_levels, DISTANCE_STEP, points.blocks]
+
+
+def table_retreat(
+    candidates: Candidates, height: Float[np.ndarray, "n"], space: Space, config: CollisionConfig
+) -> Float[np.ndarray, "n"]:
+    """How far candidates at some height above the table must back off to clear it [m]; infinite where backing off leads
+    into it."""
     if space.table is None:
         return np.zeros(len(candidates))
-    missing = config.clearance - table_clearance(candidates, space)
+    missing = config.clearance - height
     approach_world = candidates.T_world_gripper[:, :3, :3] @ space.gripper.approach
     rise = -approach_world @ space.table.normal  # height gained per way back
     retreat = np.where(missing > 0, missing / np.where(rise > 1e-3, rise, np.nan), 0.0)
@@ -160,9 +194,23 @@ def table_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "
     heights = np.full(len(candidates), np.inf)
     if space.table is None:
         return heights
-    for index, preshape in enumerate(space.gripper.preshapes):
-        chosen = candidates.preshape == index
-        T = candidates.T_world_gripper[chosen]
-        lowest = (space.table.normal @ T[:, :3, :3] @ preshape.outline.T).min(axis=-1, initial=np.inf)
-        heights[chosen] = lowest + T[:, :3, 3] @ space.table.normal - space.table.offset
+    for index in np.unique(candidates.preshape):
+        chosen = np.flatnonzero(candidates.preshape == index)
+        heights[chosen] = _heights(candidates.T_world_gripper[chosen], space.hand.corners[[index]], space.table)[:, 0]
     return heights
+
+
+def heights_of_all(candidates: Candidates, space: Space) -> Float[np.ndarray, "n p"]:
+    """The same for each preshape of the hand, not only their own."""
+    if space.table is None:
+        return np.full((len(candidates), len(space.gripper.preshapes)), np.inf)
+    return _heights(candidates.T_world_gripper, space.hand.corners, space.table)
+
+
+def _heights(
+    T_world_gripper: Float[np.ndarray, "n 4 4"], corners: Float[np.ndarray, "p v 3"], table: Plane
+) -> Float[np.ndarray, "n p"]:
+    """Of the lowest corner above the table [m]."""
+    up_gripper = np.einsum("j,njk->nk", table.normal, T_world_gripper[:, :3, :3])
+    along = (up_gripper @ corners.reshape(-1, 3).T).reshape(len(T_world_gripper), *corners.shape[:2])
+    return along.min(axis=-1) + (T_world_gripper[:, :3, 3] @ table.normal - table.offset)[:, None]

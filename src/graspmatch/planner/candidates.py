@@ -72,10 +72,10 @@ class Graded(Closed):
     """Eq. (14) of the matched preshape at the final pose [m2]."""
     final_loss: Float[Array, "n"]
     """Eq. (13) there [m2]."""
-    pushed: Float[Array, "n"]
-    """How far the closing fingers push the object before they balance [m]."""
-    robust_margin: Float[Array, "n"]
-    """Smallest wrench that is not resisted there, the mean over small errors of the pose; see `grip.margins`."""
+    margin: Float[Array, "n"]
+    """Smallest wrench that is not resisted in the end, the mean over all trials: see `hold.Held`, `grade.grade`."""
+    held_share: Float[Array, "n"]
+    """Share of the trials in which the object is held."""
     confidence: Float[Array, "n"]
     """Share of such grasps that hold in simulation."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float, Int
@@ -9,19 +11,27 @@ from jaxtyping import Bool, Float, Int
 from graspmatch.config import ClosingConfig
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_avoid import first_contact
+from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_fields import NEVER
+from graspmatch.planner.avoid import Space, upload_space
 from graspmatch.planner.candidates import Closed, Free
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.upload import pose_arrays, upload_gripper
+from graspmatch.planner.upload import ARRIVAL_STEP, DeviceHand, pose_arrays
 from graspmatch.scene.scene import Scene
-from graspmatch.types import Gripper, Plane, PointCloud
+from graspmatch.types import Gripper, Plane
 
 
 def close_fingers(
-    free: Free, scene: Scene, gripper: Gripper, config: ClosingConfig, device: str, tally: Tally
+    free: Free,
+    scene: Scene,
+    gripper: Gripper,
+    config: ClosingConfig,
+    device: str,
+    tally: Tally,
+    space: Space | None = None,
 ) -> Closed:
     """Candidates whose fingers meet the target before anything else, with the joint values at first contact."""
-    keep, fraction = meet_object(free, scene, gripper, config, device, tally)
+    keep, fraction = meet_object(free, scene, gripper, config, device, tally, space)
     free, fraction = free.select(keep), fraction[keep]
     return Closed(
         **vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free.preshape, fraction, gripper)
@@ -29,13 +39,19 @@ def close_fingers(
 
 
 def meet_object(
-    free: Free, scene: Scene, gripper: Gripper, config: ClosingConfig, device: str, tally: Tally
+    free: Free,
+    scene: Scene,
+    gripper: Gripper,
+    config: ClosingConfig,
+    device: str,
+    tally: Tally,
+    space: Space | None = None,
 ) -> tuple[Bool[np.ndarray, "n"], Float[np.ndarray, "n f"]]:
     """Whether the fingers meet the target before anything else, and the closing fraction at which each does."""
-    fraction = contact_fractions(free, scene.target, scene, gripper, device)
-    blocked = contact_fractions(free, scene.obstacles, scene, gripper, device)
+    space = space or upload_space(scene, gripper, device)
+    fraction, blocked = contact_fractions(free, space)
     if scene.table is not None:
-        blocked = np.minimum(blocked, table_fractions(free, scene.table, gripper))
+        blocked = np.minimum(blocked, table_fractions(free, scene.table, gripper, space.hand))
     reaches = tally.keep(
         ~np.any(blocked <= stop_fractions(fraction, gripper), axis=-1), "fingers stopped by the table or an obstacle"
     )
@@ -44,31 +60,32 @@ def meet_object(
     return keep, fraction
 
 
-def contact_fractions(
-    free: Free, cloud: PointCloud, scene: Scene, gripper: Gripper, device: str
-) -> Float[np.ndarray, "n f"]:
-    """Closing fraction at which each finger first meets a cloud; 2 where it never does."""
-    fingers = len(gripper.fingers)
-    points = wp.array(cloud.points - scene.centre_of_mass, dtype=wp.vec3, device=device)
-    fraction = wp.empty((len(free), fingers), dtype=wp.float32, device=device)
-    poses = pose_arrays(free, scene.centre_of_mass, device)
-    launch(
-        first_contact, len(free), [fingers, upload_gripper(gripper, device).arrival, points, *poses], [fraction], device
-    )
-    return fraction.numpy().astype(float)
+def contact_fractions(free: Free, space: Space) -> tuple[Float[np.ndarray, "n f"], Float[np.ndarray, "n f"]]:
+    """Closing fractions at which each finger first meets the target, and an obstacle; 2 where it never does."""
+    fingers, hand = len(space.gripper.fingers), space.hand
+    field = [fingers, hand.arrival, space.points.points, hand.arrival_levels, ARRIVAL_STEP]
+    poses = pose_arrays(free, space.centre_of_mass, space.device)
+    found = []
+    for blocks in itertools.pairwise((0, *space.points.ends)):
+        fraction = wp.full(len(free) * fingers, NEVER, dtype=wp.float32, device=space.device)
+        if blocks[1] > blocks[0]:
+            inputs = [*field, *blocks, *poses]
+            launch(first_contact, len(free), inputs, [fraction], space.device, lanes=LANES, chunks=4)
+        found.append(fraction.numpy().reshape(-1, fingers).astype(float))
+    return found[0], found[1]
 
 
-def table_fractions(free: Free, table: Plane, gripper: Gripper) -> Float[np.ndarray, "n f"]:
+def table_fractions(free: Free, table: Plane, gripper: Gripper, hand: DeviceHand) -> Float[np.ndarray, "n f"]:
     """Closing fraction at which each finger first meets the table; 2 where it never does."""
     fractions = np.full((len(free), len(gripper.fingers)), NEVER)
+    direction = np.einsum("j,njk->nk", table.normal, free.T_world_gripper[:, :3, :3])  # the normal in the gripper frame
+    height = free.T_world_gripper[:, :3, 3] @ table.normal - table.offset
+    lowest = np.einsum("nfvj,nj->nfv", hand.swept_corners[free.preshape], direction).min(axis=-1, initial=np.inf)
     for index, preshape in enumerate(gripper.preshapes):
-        chosen = np.flatnonzero(free.preshape == index)
-        T = free.T_world_gripper[chosen]
-        height = T[:, :3, 3] @ table.normal - table.offset
         for f, outline in enumerate(preshape.finger_outlines):
-            direction = table.normal @ T[:, :3, :3]  # the normal in the gripper frame
-            lowest = np.einsum("nj,kvj->nkv", direction, outline).min(axis=-1, initial=np.inf) + height[:, None]
-            fractions[chosen, f] = first_crossing(lowest)
+            chosen = np.flatnonzero((free.preshape == index) & (lowest[:, f] + height < 0))
+            heights = (direction[chosen] @ outline.reshape(-1, 3).T).reshape(len(chosen), *outline.shape[:2])
+            fractions[chosen, f] = first_crossing(heights.min(axis=-1, initial=np.inf) + height[chosen, None])
     return fractions
 
 

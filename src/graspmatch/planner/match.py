@@ -15,9 +15,10 @@ from jaxtyping import Float, Int
 from graspmatch.config import MatchingConfig
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import voxel_downsample
-from graspmatch.kernels import warp_match
-from graspmatch.kernels.fields import covering_nearest_field
+from graspmatch.kernels import warp_match, warp_steps
+from graspmatch.kernels.fields import BlockCloud, covering_nearest_field, in_block_order, upload_blocks
 from graspmatch.kernels.launch import launch
+from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_fields import NearestField
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.thin import thinned
@@ -33,7 +34,7 @@ FEWEST_VOXELS = 10
 """At least so many voxels along the longest side: smaller objects are thinned less."""
 
 
-Batch = tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]
+Batch = tuple[Int[np.ndarray, "*k p"], Int[np.ndarray, "*k p"]]
 """First sample and number of samples of each preshape's mini-batch, a window of its shuffled samples."""
 
 
@@ -42,8 +43,8 @@ class Problem:
     """Scene and hand on the device: everything that stays the same from iteration to iteration."""
 
     hand: DeviceHand
-    shuffled: wp.array
-    """For each preshape its samples in random order: a window of them is a mini-batch."""
+    samples: wp.array
+    """For each preshape its samples in random order: a window of them is a mini-batch. All x, y, z and weights."""
     centre_of_mass: Float[np.ndarray, "3"]
     """Origin of the object frame in the world [m]."""
     target_points: Float[np.ndarray, "n 3"]
@@ -52,7 +53,9 @@ class Problem:
     """Of R and of its nearest-neighbour field [m]."""
     target: NearestField
     surroundings: warp_match.Surroundings
-    """C, in the object frame."""
+    """C, in the object frame ..."""
+    cloud: BlockCloud
+    """... and its points."""
     terms: warp_match.Terms
     device: str
 
@@ -63,15 +66,18 @@ def prepare(scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.rand
     spacing = target_spacing(points, config.voxel_size)
     target_points, _ = voxel_downsample(points, spacing, origin=np.zeros(3))
     hand = upload_gripper(gripper, device)
-    shuffled = np.concatenate([rng.permutation(count) for count in hand.samples])
+    shuffled = np.concatenate([rng.permutation(n) + start for n, start in zip(hand.samples, hand.starts, strict=True)])
+    own, others = (thinned(cloud.points, config.collision_points) for cloud in (scene.target, scene.obstacles))
+    cloud = upload_blocks([in_block_order(part - scene.centre_of_mass) for part in (own, others)], device)
     return Problem(
         hand=hand,
-        shuffled=wp.array(shuffled, dtype=wp.int32, device=device),
+        samples=wp.array(hand.rows[:, shuffled].ravel(), dtype=wp.float32, device=device),
         centre_of_mass=scene.centre_of_mass,
         target_points=target_points,
         spacing=spacing,
         target=covering_nearest_field(target_points, spacing, FIELD_MARGIN, device),
-        surroundings=upload_surroundings(scene, config.collision_points, device),
+        surroundings=surroundings_of(scene, cloud),
+        cloud=cloud,
         terms=terms_of(config),
         device=device,
     )
@@ -80,37 +86,18 @@ def prepare(scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.rand
 def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.random.Generator) -> Matched:
     """Algorithm 1: every start, matched to the target."""
     particles = upload_particles(starts, problem)
-    stein_iterations = stein_phase(config)
-    for k in range(1, config.iterations + 1):
-        share = batch_share(k, config)
-        if config.batch_from == "object":
-            part = object_batch(problem.target_points, share, rng)
-            target = covering_nearest_field(part, problem.spacing, FIELD_MARGIN, problem.device)
-            batch = whole_batch(problem.hand.samples)
-        else:
-            target, batch = problem.target, mini_batch(problem.hand.samples, share, rng)
-        whole = k > stein_iterations and k >= full_batch_from(config)
-        gradients(problem, particles, target, batch, settle=whole, remember=whole)  # eqs. (16)-(18)
-        if k <= stein_iterations:
-            stein_step(problem, particles, starts, annealing(k, config))  # eqs. (7), (8)
-        elif config.method == "icp":
-            step(warp_match.align, problem, particles, [problem.hand.matching, target])  # eq. (2)
-        else:
-            step(warp_match.descend, problem, particles, [])  # eq. (3)
-    take_best(particles, problem)
-    return measured(particles, starts, problem)
+    stein_iterations = min(stein_phase(config), config.iterations)
+    for k in range(1, stein_iterations + 1):
+        gradients(problem, particles, *draw(k, problem, config, rng), with_prior=True)  # eqs. (16)-(18)
+        stein_step(problem, particles, starts, annealing(k, config))  # eqs. (7), (8)
+    descend(problem, particles, range(stein_iterations + 1, config.iterations + 1), config, rng)  # eq. (3)
+    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples), want_loss=True)
+    launch(warp_steps.take_best, len(starts), [particles], [], problem.device)
+    return in_world(particles, starts, problem)
 
 
-def take_best(particles: warp_match.Particles, problem: Problem) -> None:
-    """Every particle back to its best free pose, the one after the last step among them; those never free stay."""
-    particles.is_converged.zero_()
-    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples), remember=True)
-    launch(warp_match.take_best, particles.preshape.shape[0], [particles], [], problem.device)
-
-
-def measured(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
-    """The particles where they are, in the world, and their loss over all samples."""
-    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples))
+def in_world(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
+    """The particles where they are, in the world, and what was last found there."""
     rotation = se3.matrix_from_quaternion(np.roll(particles.rotation.numpy().astype(float), 1, axis=-1))
     position = particles.position.numpy().astype(float) + problem.centre_of_mass
     lever = np.einsum("nij,nj->ni", rotation, problem.hand.pivots[starts.preshape])
@@ -125,8 +112,9 @@ def measured(particles: warp_match.Particles, starts: Candidates, problem: Probl
 
 def measure(candidates: Candidates, problem: Problem) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Matching error (14) and loss (13) of poses as they are [m2]: after matching, many were backed off."""
-    found = measured(upload_particles(candidates, problem), candidates, problem)
-    return found.matching_error, found.loss
+    particles = upload_particles(candidates, problem)
+    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples), want_loss=True)
+    return particles.matching_error.numpy().astype(float), particles.loss.numpy().astype(float)
 
 
 def stein_phase(config: MatchingConfig) -> int:
@@ -153,6 +141,17 @@ def full_batch_from(config: MatchingConfig) -> float:
     return 2 * config.iterations / 3
 
 
+def draw(k: int, problem: Problem, config: MatchingConfig, rng: np.random.Generator) -> tuple[NearestField, Batch]:
+    """Target and mini-batch of iteration k."""
+    share = batch_share(k, config)
+    if config.batch_from == "gripper":
+        return problem.target, mini_batch(problem.hand.samples, share, rng)
+    part = object_batch(problem.target_points, share, rng)
+    return covering_nearest_field(part, problem.spacing, FIELD_MARGIN, problem.device), whole_batch(
+        problem.hand.samples
+    )
+
+
 def mini_batch(samples: Int[np.ndarray, "p"], share: float, rng: np.random.Generator) -> Batch:
     """A random window of every preshape's samples."""
     return rng.integers(samples), np.ceil(share * samples).astype(int)
@@ -174,29 +173,39 @@ def gradients(
     target: NearestField,
     batch: Batch,
     *,
-    settle: bool = False,
-    remember: bool = False,
+    want_loss: bool = False,
+    with_prior: bool = False,
 ) -> None:
-    """One pass of eqs. (16)-(18); `settle` lets particles converge, `remember` keeps their best free pose."""
-    offset, size = (wp.array(part, dtype=wp.int32, device=problem.device) for part in batch)
-    inputs = [
-        problem.hand.matching,
-        problem.shuffled,
-        target,
-        problem.surroundings,
-        problem.terms,
-        offset,
-        size,
-        int(settle),
-        int(remember),
-        particles,
-    ]
-    launch(warp_match.gradients, particles.preshape.shape[0], inputs, [], problem.device)
+    """One pass of eqs. (16)-(18); `want_loss` is for the loss of those that collide, too."""
+    inputs = [*slope_inputs(problem, target, batch), int(want_loss), int(with_prior), particles]
+    launch(warp_steps.gradients, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=2)
 
 
-def step(kernel: wp.Kernel, problem: Problem, particles: warp_match.Particles, inputs: list) -> None:
-    """One update of every particle by itself."""
-    launch(kernel, particles.preshape.shape[0], [*inputs, problem.terms, particles], [], problem.device)
+def descend(
+    problem: Problem,
+    particles: warp_match.Particles,
+    iterations: range,
+    config: MatchingConfig,
+    rng: np.random.Generator,
+) -> None:
+    """The iterations in which every particle goes its own way: one launch, but where each has another target."""
+    settle_from = int(np.ceil(full_batch_from(config)))
+    runs = [iterations] if config.batch_from == "gripper" else [range(k, k + 1) for k in iterations]
+    for run in filter(len, runs):
+        targets, batches = zip(*(draw(k, problem, config, rng) for k in run), strict=True)
+        offset, size = (np.concatenate(part) for part in zip(*batches, strict=True))
+        counts = [len(run), settle_from - run.start, int(config.method == "icp")]
+        inputs = [*slope_inputs(problem, targets[0], (offset, size)), *counts, particles]
+        launch(warp_steps.descend, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=8)
+
+
+def slope_inputs(problem: Problem, target: NearestField, batch: Batch) -> list:
+    """What the kernels take to find the gradients of the loss."""
+    offset, size = (wp.array(part.ravel(), dtype=wp.int32, device=problem.device) for part in batch)
+    hand = problem.hand
+    goals = [target, target.index, target.coordinates]
+    scene = [problem.surroundings, problem.cloud.points, hand.outline, hand.matching_levels]
+    return [hand.matching, problem.samples, *goals, *scene, problem.terms, offset, size]
 
 
 def stein_step(problem: Problem, particles: warp_match.Particles, starts: Candidates, gamma: float) -> None:
@@ -206,7 +215,7 @@ def stein_step(problem: Problem, particles: warp_match.Particles, starts: Candid
     group = [wp.array(part, dtype=wp.int32, device=problem.device) for part in (begin, end - begin)]
     moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
     inputs = [gamma, problem.terms, problem.hand.matching, *group, particles]
-    launch(warp_match.stein, len(starts), inputs, moved, problem.device)
+    launch(warp_steps.stein, len(starts), inputs, moved, problem.device)
     particles.position, particles.rotation = moved
 
 
@@ -216,13 +225,11 @@ def target_spacing(points: Float[np.ndarray, "n 3"], voxel_size: float) -> float
     return max(min(voxel_size, extent / FEWEST_VOXELS), (extent + 2 * FIELD_MARGIN) / FIELD_NODES)
 
 
-def upload_surroundings(scene: Scene, most_points: int, device: str) -> warp_match.Surroundings:
-    """C: target and obstacles, thinned, and the table as the plane that it is."""
-    own, others = (thinned(cloud.points, most_points) for cloud in (scene.target, scene.obstacles))
-    points = np.concatenate([own, others]) - scene.centre_of_mass
+def surroundings_of(scene: Scene, cloud: BlockCloud) -> warp_match.Surroundings:
+    """C, but for its points: the table is the plane that it is."""
     surroundings = warp_match.Surroundings()
-    surroundings.points = wp.array(points, dtype=wp.vec3, device=device)
-    surroundings.targets = len(own)
+    surroundings.blocks = cloud.blocks
+    surroundings.target_blocks = cloud.ends[0]
     surroundings.has_table = int(scene.table is not None)
     if scene.table is not None:
         surroundings.normal = wp.vec3(*scene.table.normal)
@@ -259,10 +266,11 @@ def upload_particles(starts: Candidates, problem: Problem) -> warp_match.Particl
     particles.gradient_position = wp.zeros(n, dtype=wp.vec3, device=device)
     particles.gradient_rotation = wp.zeros(n, dtype=wp.vec3, device=device)
     particles.matching_error = wp.zeros(n, dtype=wp.float32, device=device)
-    particles.loss = wp.zeros(n, dtype=wp.float32, device=device)
+    particles.loss = wp.full(n, warp_match.NONE, dtype=wp.float32, device=device)
     particles.colliding = wp.zeros(n, dtype=wp.int32, device=device)
     particles.is_converged = wp.zeros(n, dtype=wp.int32, device=device)
     particles.best_loss = wp.full(n, warp_match.NONE, dtype=wp.float32, device=device)
+    particles.best_error = wp.zeros(n, dtype=wp.float32, device=device)
     particles.best_position = wp.clone(particles.position)
     particles.best_rotation = wp.clone(particles.rotation)
     return particles

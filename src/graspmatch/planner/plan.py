@@ -12,12 +12,13 @@ from jaxtyping import Float
 from graspmatch.config import PlannerConfig, check
 from graspmatch.geometry import se3
 from graspmatch.kernels.launch import resolve_device
-from graspmatch.planner.avoid import keep_free
+from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Graded
 from graspmatch.planner.close import close_fingers
+from graspmatch.planner.grade import foremost, stopped
 from graspmatch.planner.match import match, prepare
 from graspmatch.planner.rank import rank
-from graspmatch.planner.refine import judge_of, refine
+from graspmatch.planner.refine import confirm, judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.stopwatch import Stopwatch
 from graspmatch.planner.tally import Tally
@@ -54,19 +55,26 @@ def plan(
         starts, matching = pose_seeds(starts_world_gripper, gripper), replace(matching, stein_iterations=0)
     tally = Tally(len(starts))
     problem = prepare(scene, gripper, matching, rng, device)
+    space = upload_space(scene, gripper, device)
     watch.lap("prepare")
     matched = match(starts, problem, matching, rng)  # Algorithm 1 of the paper
     watch.lap("match")
-    free = keep_free(matched, scene, gripper, config.collision, device, tally)  # hand and approach sweep
+    free = keep_free(matched, scene, gripper, config.collision, device, tally, space)  # hand and approach sweep
     watch.lap("avoid")
-    closed = close_fingers(free, scene, gripper, config.closing, device, tally)  # contacts and joint values
+    closed = close_fingers(free, scene, gripper, config.closing, device, tally, space)  # contacts and joint values
     watch.lap("close")
-    judge = judge_of(scene, gripper, problem, config, device)
-    graded = judge.grade(closed, rng)  # where the fingers push the object, what they hold there, how surely
+    judge = judge_of(scene, gripper, space, problem, config, device)
+    count = max(config.grip.finalists, config.ranking.count)
+    closed = foremost(closed, count, judge.target, gripper, config.grip, device, tally)
+    watch.lap("screen")
+    graded = judge.grade(closed, judge.first)  # where the fingers push the object, what they hold there, how surely
     watch.lap("grade")
-    graded = refine(graded, judge, config.seed)
+    graded = refine(graded, judge)
     watch.lap("refine")
-    order = rank(graded, graded.confidence, config.ranking, tally)
+    graded = confirm(graded, judge)
+    watch.lap("confirm")
+    order = rank(graded, graded.confidence, config.ranking, tally, "ranked lower than asked for")
+    graded = stopped(graded.select(order), judge.target, gripper, config.grip, device)
     watch.lap("rank")
     provenance = Provenance(
         gripper=gripper.name,
@@ -78,7 +86,7 @@ def plan(
         source=scene.source,
         seconds=watch.seconds,
     )
-    return grasp_set(graded.select(order), gripper, tally, provenance)
+    return grasp_set(graded, gripper, tally, provenance)
 
 
 def grasp_set(
@@ -99,7 +107,7 @@ def grasp_set(
         pregrasp_joints=pregrasp[graded.preshape],
         grasp_joints=graded.grasp_joints,
         score=graded.confidence,
-        quality=graded.robust_margin,
+        quality=graded.margin,
         clearance=graded.clearance,
         matching_error=graded.error,
         loss=graded.final_loss,

@@ -11,9 +11,10 @@ from graspmatch.planner.tally import Tally
 
 
 def rank(
-    candidates: Candidates, worth: Float[np.ndarray, "n"], config: RankingConfig, tally: Tally
+    candidates: Candidates, worth: Float[np.ndarray, "n"], config: RankingConfig, tally: Tally, reason: str
 ) -> Int[np.ndarray, "k"]:
-    """Indices of the best distinct candidates, the worthiest first."""
+    """Indices of the best distinct candidates, the worthiest first; the others but for doubles are dropped for a
+    reason."""
     order = np.lexsort((np.arange(len(candidates)), -worth))
     kept: list[int] = []
     doubles = 0
@@ -24,8 +25,8 @@ def rank(
             doubles += 1
         else:
             kept.append(int(index))
-    tally.counts["much like a better one"] = doubles
-    tally.counts["ranked lower than asked for"] = len(candidates) - len(kept) - doubles
+    tally.add("much like a better one", doubles)
+    tally.add(reason, len(candidates) - len(kept) - doubles)
     return np.array(kept, dtype=int)
 
 

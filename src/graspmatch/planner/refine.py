@@ -9,11 +9,11 @@ from jaxtyping import Float, Int
 
 from graspmatch.config import PlannerConfig
 from graspmatch.geometry import se3
-from graspmatch.planner.avoid import Space, point_clearance, table_clearance, upload_space
+from graspmatch.planner.avoid import Space, point_clearance, table_clearance
 from graspmatch.planner.candidates import Candidates, Closed, Free, Graded
 from graspmatch.planner.close import contact_joints, meet_object
-from graspmatch.planner.contacts import Touchable, touchable
-from graspmatch.planner.grip import grade
+from graspmatch.planner.grade import Trials, draw_trials, grade, pooled
+from graspmatch.planner.hold import Touchable, touchable
 from graspmatch.planner.match import Problem, measure
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene
@@ -34,51 +34,74 @@ class Judge:
     space: Space
     problem: Problem
     target: Touchable
-    coarse: Touchable
+    trials: Trials
     config: PlannerConfig
     device: str
 
-    def grade(self, closed: Closed, rng: np.random.Generator, *, roughly: bool = False) -> Graded:
-        """Loss, wrench margin and confidence; roughly, from fewer points and under fewer errors."""
+    def grade(self, closed: Closed, trials: slice) -> Graded:
+        """Loss of grasps, and how sure they are after some of the trials."""
         error, loss = measure(Candidates(closed.matched_preshape, closed.T_world_gripper), self.problem)
-        target, config = self.target, self.config.grip
-        if roughly:
-            target, config = self.coarse, replace(config, errors=(config.errors + 1) // 2)
-        return grade(closed, error, loss, target, self.coarse, self.gripper, config, rng, self.device)
+        config = self.config.grip
+        return grade(closed, error, loss, self.trials[trials], self.target, self.gripper, config, self.device)
+
+    @property
+    def first(self) -> slice:
+        """The trials of all candidates."""
+        return slice(self.config.grip.first_trials)
 
 
-def judge_of(scene: Scene, gripper: Gripper, problem: Problem, config: PlannerConfig, device: str) -> Judge:
+def judge_of(
+    scene: Scene, gripper: Gripper, space: Space, problem: Problem, config: PlannerConfig, device: str
+) -> Judge:
     """What judging needs, made once for a plan."""
-    target, coarse = (touchable(scene, n, device) for n in (config.grip.points, config.grip.coarse_points))
-    return Judge(scene, gripper, upload_space(scene, gripper, device), problem, target, coarse, config, device)
+    target = touchable(scene, config.grip.points, device)
+    return Judge(scene, gripper, space, problem, target, draw_trials(gripper, config.grip, config.seed), config, device)
 
 
-def refine(graded: Graded, judge: Judge, seed: int) -> Graded:
+def refine(graded: Graded, judge: Judge) -> Graded:
     """All candidates, the best replaced by the surest of their neighbours that are free and close on the object.
 
     Coordinate search: a step both ways along and about each axis of the hand through its tool centre point; steps are
-    halved where none of them helps. Every pose is judged under the same errors.
+    halved where none of them helps. Every pose is judged under the same trials.
     """
     config = judge.config.refining
     best = np.argsort(-graded.confidence, kind="stable")[: config.count]
-    current, scale = graded.select(best), np.ones(len(best))
-    current = judge.grade(current.as_closed(), np.random.default_rng(seed), roughly=True)
-    for _ in range(config.rounds if len(best) else 0):
+    if not len(best) or not config.rounds:
+        return graded
+    few = slice(config.trials)
+    current, scale = judge.grade(graded.select(best).as_closed(), few), np.ones(len(best))
+    for _ in range(config.rounds):
         tried, origin = neighbours(current, scale, judge)
         tried, origin = free_neighbours(tried, origin, judge)
         keep, fraction = meet_object(
-            tried, judge.scene, judge.gripper, judge.config.closing, judge.device, Tally(len(tried))
+            tried, judge.scene, judge.gripper, judge.config.closing, judge.device, Tally(len(tried)), judge.space
         )
         tried, origin, fraction = tried.select(keep), origin[keep], fraction[keep]
         joints = contact_joints(tried.preshape, fraction, judge.gripper)
-        found = judge.grade(
-            Closed(**vars(tried), closing_fraction=fraction, grasp_joints=joints),
-            np.random.default_rng(seed),
-            roughly=True,
-        )
+        found = judge.grade(Closed(**vars(tried), closing_fraction=fraction, grasp_joints=joints), few)
         current, improved = surest(current, found, origin)
         scale = np.where(improved, scale, scale / 2)
-    return replaced(graded, best, judge.grade(current.as_closed(), np.random.default_rng(seed)))
+    refined, _ = surest(graded.select(best), judge.grade(current.as_closed(), judge.first), np.arange(len(best)))
+    return put(graded, best, refined)
+
+
+def confirm(graded: Graded, judge: Judge) -> Graded:
+    """All candidates, those that lead after all trials: the surest after a few are often the luckiest, too.
+
+    Those that come to lead as others fall behind are tried as often, until the leaders are the same.
+    """
+    config = judge.config.grip
+    share, others = config.first_trials / config.trials, slice(config.first_trials, config.trials)
+    confirmed = np.zeros(len(graded), dtype=bool)
+    while share < 1:
+        leaders = np.argsort(-graded.confidence, kind="stable")[: config.leaders]
+        todo = np.sort(leaders[~confirmed[leaders]])
+        if not len(todo):
+            break
+        chosen = graded.select(todo)
+        graded = put(graded, todo, pooled(chosen, judge.grade(chosen.as_closed(), others), share))
+        confirmed[todo] = True
+    return graded
 
 
 def neighbours(graded: Graded, scale: Float[Array, "n"], judge: Judge) -> tuple[Graded, Int[Array, "m"]]:
@@ -116,10 +139,11 @@ def surest(current: Graded, found: Graded, origin: Int[Array, "m"]) -> tuple[Gra
     return joined(current, found).select(first), first >= n
 
 
-def replaced(graded: Graded, index: Int[Array, "k"], by: Graded) -> Graded:
+def put(graded: Graded, index: Int[Array, "k"], by: Graded) -> Graded:
     """The candidates, those of an index replaced."""
-    others = np.setdiff1d(np.arange(len(graded)), index)
-    return joined(graded.select(others), by)
+    order = np.arange(len(graded))
+    order[index] = len(graded) + np.arange(len(index))
+    return joined(graded, by).select(order)
 
 
 def joined(a: Graded, b: Graded) -> Graded:

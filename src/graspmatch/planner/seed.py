@@ -10,7 +10,7 @@ from graspmatch.geometry import se3
 from graspmatch.geometry.sphere import GOLDEN_RATIO, fibonacci_directions
 from graspmatch.planner.candidates import Candidates
 from graspmatch.scene.scene import Scene
-from graspmatch.types import GraspmatchError, Gripper, Preshape
+from graspmatch.types import GraspmatchError, Gripper
 
 
 def seed_poses(scene: Scene, gripper: Gripper, config: SeedingConfig, rng: np.random.Generator) -> Candidates:
@@ -24,11 +24,8 @@ def seed_poses(scene: Scene, gripper: Gripper, config: SeedingConfig, rng: np.ra
     above = np.tile([0.0, 0.0, 1.0], (config.above, 1))
     if len(directions) + len(above) == 0:
         raise GraspmatchError("There are no starting poses: seeding.points or seeding.above must be larger.")
-    poses = [
-        _facing_poses(scene, gripper, preshape, directions, above, R_world_up, index, rng)
-        for index, preshape in enumerate(gripper.preshapes)
-    ]
-    return Candidates(np.repeat(np.arange(len(poses)), len(poses[0])), np.concatenate(poses))
+    poses = _facing_poses(scene, gripper, directions, above, R_world_up, rng)
+    return Candidates(np.repeat(np.arange(len(poses)), poses.shape[1]), poses.reshape(-1, 4, 4))
 
 
 def pose_seeds(T_world_gripper: Float[np.ndarray, "n 4 4"], gripper: Gripper) -> Candidates:
@@ -83,33 +80,32 @@ def _upright_frame(scene: Scene, robot_direction: Float[np.ndarray, "3"]) -> Flo
 def _facing_poses(
     scene: Scene,
     gripper: Gripper,
-    preshape: Preshape,
     around: Float[np.ndarray, "a 3"],
     above: Float[np.ndarray, "b 3"],
     R_world_up: Float[np.ndarray, "3 3"],
-    index: int,
     rng: np.random.Generator,
-) -> Float[np.ndarray, "n 4 4"]:
-    """The hand on the object's outline in each direction, facing the centre of mass.
+) -> Float[np.ndarray, "p n 4 4"]:
+    """For every preshape the hand on the object's outline in each direction, facing the centre of mass.
 
     The turn about the approach follows the golden ratio around the object, and is spread evenly over half a turn above
     it; a random phase lets every seed see other turns.
     """
     directions = np.concatenate([around, above])
-    phase = rng.random()
-    turns = 2 * np.pi * ((np.arange(len(around)) + index / 2) * GOLDEN_RATIO + phase)
-    turns_above = np.pi * ((np.arange(len(above)) + phase) / max(len(above), 1) + index / 2)
-    R_up_canonical = _facing(-directions, np.concatenate([turns, turns_above]))
-    R_world_gripper = R_world_up @ R_up_canonical @ gripper.T_gripper_canonical[:3, :3].T
+    phase = rng.random(len(gripper.preshapes))[:, None]
+    shift = np.arange(len(gripper.preshapes))[:, None] / 2
+    turns = 2 * np.pi * ((np.arange(len(around)) + shift) * GOLDEN_RATIO + phase)
+    turns_above = np.pi * ((np.arange(len(above)) + phase) / max(len(above), 1) + shift)
+    turned = se3.rotation_exp(np.concatenate([turns, turns_above], axis=1)[..., None] * np.array([0.0, 0.0, 1.0]))
+    R_world_gripper = R_world_up @ _facing(-directions) @ turned @ gripper.T_gripper_canonical[:3, :3].T
     directions_world = directions @ R_world_up.T
-    reach = np.max((scene.target.points - scene.centre_of_mass) @ directions_world.T, axis=0)
+    reach = np.max(directions_world @ (scene.target.points - scene.centre_of_mass).T, axis=1)
     tcp_world = scene.centre_of_mass + np.maximum(reach, 0)[:, None] * directions_world
-    return se3.from_parts(R_world_gripper, tcp_world - R_world_gripper @ preshape.tool_centre_point)
+    tcp_gripper = np.array([preshape.tool_centre_point for preshape in gripper.preshapes])
+    return se3.from_parts(R_world_gripper, tcp_world - np.einsum("pnij,pj->pni", R_world_gripper, tcp_gripper))
 
 
-def _facing(approach: Float[np.ndarray, "n 3"], turn: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3 3"]:
-    """Canonical frames (+z approach, +x closing), turned about the approach from a level closing axis."""
+def _facing(approach: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Canonical frames (+z approach, +x closing) with a level closing axis."""
     level = np.cross([0.0, 0.0, 1.0], approach)
     is_vertical = np.linalg.norm(level, axis=-1, keepdims=True) < 1e-6
-    frame = se3.rotation_facing(approach, np.where(is_vertical, [1.0, 0.0, 0.0], level))
-    return frame @ se3.rotation_exp(turn[:, None] * np.array([0.0, 0.0, 1.0]))
+    return se3.rotation_facing(approach, np.where(is_vertical, [1.0, 0.0, 0.0], level))

@@ -17,5 +17,9 @@ class Tally:
     ) -> Bool[np.ndarray, "n"]:
         """The mask itself; those outside it (of those `among`) are counted under `reason`."""
         dropped = ~mask if among is None else ~mask & among
-        self.counts[reason] = self.counts.get(reason, 0) + int(np.sum(dropped))
+        self.add(reason, int(np.sum(dropped)))
         return mask
+
+    def add(self, reason: str, count: int) -> None:
+        """So many more are dropped for a reason."""
+        self.counts[reason] = self.counts.get(reason, 0) + count

@@ -11,10 +11,15 @@ from jaxtyping import Float, Int
 
 from graspmatch.geometry.grid import Grid
 from graspmatch.kernels import warp_match
-from graspmatch.kernels.fields import stack_fields
+from graspmatch.kernels.fields import in_blocks, pack_levels, stack_fields
 from graspmatch.kernels.warp_fields import FieldStack
 from graspmatch.planner.candidates import Candidates
 from graspmatch.types import Gripper, Preshape
+
+DISTANCE_STEP = 0.00025
+"""Between levels of distance fields [m]: the last one is 6 cm away."""
+ARRIVAL_STEP = 1 / 250
+"""Between levels of closing fractions."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +29,29 @@ class DeviceHand:
     matching: warp_match.Hand
     samples: Int[np.ndarray, "p"]
     """Number of samples of each preshape."""
+    rows: Float[np.ndarray, "4 n"]
+    """x, y, z [m] about the pivot and weight of all samples."""
     pivots: Float[np.ndarray, "p 3"]
     """[m], gripper frame."""
+    matching_levels: wp.array
+    """Of the distances in `matching`."""
+    outline: wp.array
+    """Corners of all preshapes about their pivots, in blocks."""
+    corners: Float[np.ndarray, "p v 3"]
+    """Of the convex hull of the open hand, gripper frame [m]; those that have fewer have their first one again."""
+    swept_corners: Float[np.ndarray, "p f v 3"]
+    """The same for what each finger sweeps when it closes."""
     corridor: FieldStack
     """Gripper frame."""
+    corridor_levels: wp.array
     arrival: FieldStack
     """One grid for each finger of each preshape, gripper frame."""
+    arrival_levels: wp.array
+
+    @property
+    def starts(self) -> Int[np.ndarray, "p"]:
+        """First sample of each preshape."""
+        return np.cumsum(self.samples) - self.samples
 
 
 @lru_cache(maxsize=4)
@@ -37,18 +59,26 @@ def upload_gripper(gripper: Gripper, device: str) -> DeviceHand:
     """Samples, fields and outlines of all preshapes."""
     preshapes = gripper.preshapes
     arrivals = [Grid(p.hand.origin, p.hand.spacing, arrival) for p in preshapes for arrival in p.arrival]
+    corridors = [preshape.corridor for preshape in preshapes]
+    outlines = [in_blocks(preshape.outline - preshape.tool_centre_point) for preshape in preshapes]
     return DeviceHand(
         matching=_matching_hand(preshapes, device),
+        corners=padded([hull_corners(preshape.outline) for preshape in preshapes]),
+        swept_corners=swept_corners(preshapes),
+        outline=wp.array(np.concatenate(outlines).ravel(), dtype=wp.float32, device=device),
         samples=np.array([len(preshape.weights) for preshape in preshapes]),
+        rows=np.concatenate([sample_rows(preshape) for preshape in preshapes], axis=1),
         pivots=np.array([preshape.tool_centre_point for preshape in preshapes]),
-        corridor=stack_fields([preshape.corridor for preshape in preshapes], device),
+        matching_levels=pack_levels([preshape.hand for preshape in preshapes], DISTANCE_STEP, device),
+        corridor=stack_fields(corridors, device),
+        corridor_levels=pack_levels(corridors, DISTANCE_STEP, device),
         arrival=stack_fields(arrivals, device),
+        arrival_levels=pack_levels(arrivals, ARRIVAL_STEP, device),
     )
 
 
 def _matching_hand(preshapes: tuple[Preshape, ...], device: str) -> warp_match.Hand:
     samples = [preshape.samples.points - preshape.tool_centre_point for preshape in preshapes]
-    outlines = [preshape.outline - preshape.tool_centre_point for preshape in preshapes]
     inertia = [inverse_inertia(s, p.weights) for s, p in zip(samples, preshapes, strict=True)]
     hand = warp_match.Hand()
     hand.samples = wp.array(np.concatenate(samples), dtype=wp.vec3, device=device)
@@ -59,9 +89,37 @@ def _matching_hand(preshapes: tuple[Preshape, ...], device: str) -> warp_match.H
     hand.distance = stack_fields([p.hand.shifted(-p.tool_centre_point) for p in preshapes], device)
     nearest = np.concatenate([preshape.nearest_sample.ravel() for preshape in preshapes])
     hand.nearest_sample = wp.array(nearest, dtype=wp.int32, device=device)
-    hand.outline = wp.array(np.concatenate(outlines), dtype=wp.vec3, device=device)
-    hand.outline_start, hand.outline_count = _spans(outlines, device)
+    hand.outline_start, _ = _spans([in_blocks(preshape.outline) for preshape in preshapes], device)
+    _, hand.outline_count = _spans([preshape.outline for preshape in preshapes], device)
     return hand
+
+
+def swept_corners(preshapes: tuple[Preshape, ...]) -> Float[np.ndarray, "p f v 3"]:
+    """Of the convex hull of what each finger of each preshape sweeps when it closes."""
+    hulls = [hull_corners(swept.reshape(-1, 3)) for preshape in preshapes for swept in preshape.finger_outlines]
+    corners = padded(hulls)
+    return corners.reshape(len(preshapes), -1, *corners.shape[1:])
+
+
+def hull_corners(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """The points that are corners of their convex hull: a plane meets one of them first; all where they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:
+        return points
+
+
+def padded(clouds: list[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "n m 3"]:
+    """Clouds of different lengths as one array; the shorter ones have their first point again."""
+    longest = max(len(cloud) for cloud in clouds)
+    return np.array([np.concatenate([cloud, np.tile(cloud[:1], (longest - len(cloud), 1))]) for cloud in clouds])
+
+
+def sample_rows(preshape: Preshape) -> Float[np.ndarray, "4 n"]:
+    """x, y, z [m] about the pivot and weight of each sample."""
+    return np.vstack([(preshape.samples.points - preshape.tool_centre_point).T, preshape.weights])
 
 
 def _spans(parts: list[np.ndarray], device: str) -> tuple[wp.array, wp.array]:

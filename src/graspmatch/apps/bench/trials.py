@@ -107,7 +107,7 @@ def run_trials(jobs: Iterable[Job], *, processes: int) -> Iterator[Trial]:
     # Fresh interpreters with one thread each: the cores are shared out among processes.
     context = get_context("spawn")
     threads = str(max(1, usable_cores() // processes))
-    with ProcessPoolExecutor(processes, context, initializer=_use_threads, initargs=(threads,)) as pool:
+    with ProcessPoolExecutor(processes, context, initializer=use_threads, initargs=(threads,)) as pool:
         futures = [pool.submit(run_trial, job) for job in jobs]
         try:
             for future in as_completed(futures):
@@ -121,12 +121,12 @@ def run_trial(job: Job) -> Trial:
     """Settle, place, plan, lift."""
     from graspmatch.simulate.judge import try_grasp
 
-    settled, world, gripper = _stage(job.source, job.gripper, job.description, job.config.lift)
+    settled, world, gripper = stage(job.source, job.gripper, job.description, job.config.lift)
     name = job.source.name
     if settled.topples:
         return Trial(name, job.trial, False, TOPPLES, 0.0, 0.0, 0, "", None, 0.0, 0.0)
     rng = np.random.default_rng([job.config.seed, zlib.crc32(name.encode()), job.trial])
-    T_world_object = _random_place(rng) @ settled.T_world_object
+    T_world_object = random_place(rng) @ settled.T_world_object
     planner_seed = int(rng.integers(2**31))
     error = _pose_error(rng, job.config)
     scene = Scene.from_mesh(transformed(settled.target.mesh, T_world_object), table=0.0)
@@ -155,12 +155,13 @@ def run_trial(job: Job) -> Trial:
     )
 
 
-def _use_threads(threads: str) -> None:
+def use_threads(threads: str) -> None:
+    """Of a process, for kernels."""
     os.environ.setdefault("GRASPMATCH_THREADS", threads)
 
 
 @lru_cache(maxsize=8)
-def _stage(source: ObjectSource, gripper_name: str, description: Path | None, config: LiftConfig):
+def stage(source: ObjectSource, gripper_name: str, description: Path | None, config: LiftConfig):
     """The settled object, the world with the hand, and the hand as the planner knows it."""
     from graspmatch.gripper.kinematics import load_hand
     from graspmatch.gripper.load import load_gripper
@@ -173,7 +174,7 @@ def _stage(source: ObjectSource, gripper_name: str, description: Path | None, co
     return settled, world_of(settled.target, hand, config), load_gripper(gripper_name, description=description)
 
 
-def _random_place(rng: np.random.Generator) -> Float[Array, "4 4"]:
+def random_place(rng: np.random.Generator) -> Float[Array, "4 4"]:
     """A turn about the vertical and a place on the table."""
     turn = se3.rotation_exp(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))
     return se3.from_parts(turn, np.r_[rng.uniform(-SPREAD, SPREAD, 2), 0.0])

@@ -1,0 +1,336 @@
+"""Where closing fingers, palm and table touch an object between them, for CPU and CUDA.
+
+Legend: i grasp, k one of the points of the object that its hand can reach, o that point's index in the body; R, p turn
+and shift of the body into the gripper frame; x point there, u the same in node units, n outward normal; p preshape, f
+finger, g what touches (the fingers, then palm, then table); t closing fraction at which a finger covers a point: its
+level sets are the finger's surface on its way.
+"""
+
+import warp as wp
+
+from graspmatch.kernels.warp_avoid import arrival_at
+from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_inside, low_node, node_units
+from graspmatch.kernels.warp_wrench import Contacts
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+LATE = 0.25
+"""Closing fraction after a finger's first contact in which it goes much farther than a contact patch is deep."""
+FAR = 0.4
+"""Closing fraction in which a finger's surface goes by more than the distance of neighbouring nodes, besides."""
+FACING_FIRST = 0.2
+"""Cosine between the way of a finger and its push on a point, at least, for a first contact ..."""
+FACING = 0.5
+"""... and for the rest of the patch: beside an edge of the object, the other face is not touched."""
+SAME_FACE = 0.8
+"""Cosine between the normals of a face and of a point on its edge."""
+PALM_FACING = 0.5
+"""The same for the approach and what the palm touches."""
+PALM_TOUCHES = 0.002
+"""Points nearer to the palm than this touch it [m]."""
+PALM_WAY = 0.006
+"""... if it comes nearer by half of this, so far straight back along the approach: else it is beside them [m]."""
+TABLE_TOUCHES = 0.0015
+"""Points lower above the table than this lie on it [m]."""
+
+
+@wp.struct
+class Body:
+    """The object, turned as the world is; origin at the centre of mass."""
+
+    points: wp.array(dtype=wp.vec3)
+    normals: wp.array(dtype=wp.vec3)
+    is_edge: wp.array(dtype=wp.int32)
+    """Whether a point is beside an edge: what touches there pushes along no normal of the object's alone."""
+    corners: wp.array(dtype=wp.vec3)
+    """Those that can lie on a plane."""
+    down: wp.vec3
+    table: wp.float32
+    """Height of the table, against `down` [m]; far below where there is none."""
+
+
+@wp.struct
+class Hand:
+    """What can touch of all preshapes, gripper frame."""
+
+    arrival: FieldStack
+    """One grid for each finger of each preshape."""
+    distance: FieldStack
+    """Signed distance of the open hand, about its pivot."""
+    pivot: wp.array(dtype=wp.vec3)
+    approach: wp.vec3
+    reach: FieldStack
+    """One where a point can be touched, else zero."""
+
+
+@wp.struct
+class Reached:
+    """Scratch: the points of each grasp that its hand can reach, where they are, and how far from touching."""
+
+    index: wp.array2d(dtype=wp.int32)
+    point: wp.array2d(dtype=wp.vec3)
+    normal: wp.array2d(dtype=wp.vec3)
+    excess: wp.array3d(dtype=wp.float32)
+
+
+@wp.func
+def node_value(stack: FieldStack, g: int, i: int, j: int, k: int) -> float:
+    dims = stack.dims[g]
+    return stack.values[stack.start[g] + (i * dims[1] + j) * dims[2] + k]
+
+
+@wp.func
+def node_at(stack: FieldStack, g: int, u: wp.vec3) -> float:
+    """Value of the node nearest to a point inside the grid."""
+    return node_value(stack, g, int(u[0] + 0.5), int(u[1] + 0.5), int(u[2] + 0.5))
+
+
+@wp.func
+def fraction_at(stack: FieldStack, g: int, u: wp.vec3, latest: float) -> float:
+    """Closing fraction at which a finger covers a point inside its grid, about that where it is later than `latest`;
+    `NEVER` where it does not."""
+    nearest = node_at(stack, g, u)
+    if nearest > latest:
+        return nearest  # `NEVER` is what `arrival_at` says there too, after more work
+    low = low_node(u, stack.dims[g])
+    return arrival_at(stack, g, low, u - wp.vec3(float(low[0]), float(low[1]), float(low[2])))
+
+
+@wp.func
+def slope(before: float, here: float, after: float) -> float:
+    """Central difference; one-sided where the finger never gets to one side."""
+    if before < NEVER and after < NEVER:
+        return 0.5 * (after - before)
+    if after < NEVER:
+        return after - here
+    if before < NEVER:
+        return here - before
+    return 0.0
+
+
+@wp.func
+def slowness(stack: FieldStack, g: int, x: wp.vec3) -> wp.vec3:
+    """Along the way of a finger's surface, the closing fraction that it takes for each metre there [1/m]: the gradient
+    of its field."""
+    dims = stack.dims[g]
+    u = node_units(stack, g, x)
+    i = wp.clamp(int(u[0] + 0.5), 1, dims[0] - 2)
+    j = wp.clamp(int(u[1] + 0.5), 1, dims[1] - 2)
+    k = wp.clamp(int(u[2] + 0.5), 1, dims[2] - 2)
+    here = node_value(stack, g, i, j, k)
+    if here >= NEVER:
+        return wp.vec3(0.0, 0.0, 0.0)
+    gradient = wp.vec3(
+        slope(node_value(stack, g, i - 1, j, k), here, node_value(stack, g, i + 1, j, k)),
+        slope(node_value(stack, g, i, j - 1, k), here, node_value(stack, g, i, j + 1, k)),
+        slope(node_value(stack, g, i, j, k - 1), here, node_value(stack, g, i, j, k + 1)),
+    )
+    return gradient / stack.spacing
+
+
+@wp.func
+def distance_near(stack: FieldStack, g: int, x: wp.vec3, most: float) -> float:
+    """Signed distance, where it is at most so much [m]; farther away roughly."""
+    u = node_units(stack, g, x)
+    if not is_inside(u, stack.dims[g]):
+        return float(1.0e30)
+    nearest = node_at(stack, g, u)
+    if nearest > most + stack.spacing:  # no cell's corner is farther from x than its node by as much
+        return nearest
+    return interpolate(stack, g, x)
+
+
+@wp.func
+def is_before_palm(stack: FieldStack, g: int, x: wp.vec3, gap: float, approach: wp.vec3) -> bool:
+    """Whether the hand is straight back along the approach, not beside the point."""
+    return interpolate(stack, g, x - PALM_WAY * approach) < gap - 0.5 * PALM_WAY
+
+
+@wp.func
+def across(n: wp.vec3) -> wp.vec3:
+    """A unit vector perpendicular to n."""
+    hint = wp.where(wp.abs(n[0]) > 0.9, wp.vec3(0.0, 1.0, 0.0), wp.vec3(1.0, 0.0, 0.0))
+    return wp.normalize(wp.cross(n, hint))
+
+
+@wp.func
+def push_at(
+    i: int, k: int, grid: int, face: wp.vec3, on_face: bool, body: Body, hand: Hand, reached: Reached
+) -> wp.vec3:
+    """Direction in which a finger pushes a point: against the normal; beside an edge, where it may be any between those
+    of the faces, along the middle of that and the finger's way, unless the finger lies on a face with that normal.
+    `grid` is the finger's; the palm has none (-1)."""
+    n = reached.normal[i, k]
+    push = -n
+    if grid >= 0 and body.is_edge[reached.index[i, k]] == 1 and not (on_face and wp.dot(n, face) > SAME_FACE):
+        way = slowness(hand.arrival, grid, reached.point[i, k])
+        push = wp.normalize(push + way / wp.max(wp.length(way), 1.0e-3))
+    return push
+
+
+@wp.func
+def spread_patch(
+    i: int,
+    g: int,
+    grid: int,
+    start: int,
+    face: wp.vec3,
+    on_face: bool,
+    count: int,
+    tolerance: float,
+    body: Body,
+    hand: Hand,
+    reached: Reached,
+    contacts: Contacts,
+):
+    """Contacts of g: `start`, and of the points whose excess is within the tolerance those farthest along two axes."""
+    x0 = reached.point[i, start]
+    contacts.point[i, g, 0] = x0
+    contacts.push[i, g, 0] = push_at(i, start, grid, face, on_face, body, hand, reached)
+    a = across(reached.normal[i, start])
+    b = wp.cross(reached.normal[i, start], a)
+    reach = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    corner = wp.vec4i(start, start, start, start)
+    for k in range(count):
+        if reached.excess[i, g, k] <= tolerance:
+            x = reached.point[i, k] - x0
+            along = wp.vec2(wp.dot(x, a), wp.dot(x, b))
+            for s in range(4):
+                value = along[s // 2] * wp.where(s % 2 == 0, 1.0, -1.0)
+                if value > reach[s]:
+                    reach[s] = value
+                    corner[s] = k
+    found = int(1)
+    for s in range(4):
+        is_new = corner[s] != start
+        for r in range(s):
+            is_new = is_new and corner[r] != corner[s]
+        if is_new:
+            contacts.point[i, g, found] = reached.point[i, corner[s]]
+            contacts.push[i, g, found] = push_at(i, corner[s], grid, face, on_face, body, hand, reached)
+            found += 1
+    contacts.count[i, g] = found
+
+
+@wp.func
+def gather(i: int, p: int, R: wp.mat33, shift: wp.vec3, body: Body, hand: Hand, reached: Reached) -> int:
+    """Note the points that the hand can reach; how many there are, at most as many as there is room for."""
+    count = int(0)
+    for o in range(body.points.shape[0]):
+        u = node_units(hand.reach, p, R * body.points[o] + shift)
+        if count < reached.index.shape[1] and is_inside(u, hand.reach.dims[p]) and node_at(hand.reach, p, u) > 0.0:
+            reached.index[i, count] = o
+            count += 1
+    return count
+
+
+@wp.func
+def touch_table(i: int, g: int, R: wp.mat33, shift: wp.vec3, floor: float, up: wp.vec3, body: Body, contacts: Contacts):
+    """Up to four corners that lie on the table: the lowest, and those farthest from it and from one another."""
+    lowest = float(1.0e30)
+    x0 = wp.vec3()
+    for c in range(body.corners.shape[0]):
+        x = R * body.corners[c] + shift
+        height = wp.dot(up, x)
+        if height < lowest:
+            lowest = height
+            x0 = x
+    contacts.count[i, g] = 0
+    if lowest - floor <= TABLE_TOUCHES:
+        contacts.point[i, g, 0] = x0
+        contacts.push[i, g, 0] = up
+        a = across(up)
+        b = wp.cross(up, a)
+        reach = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        for s in range(4):
+            contacts.point[i, g, 1 + s] = x0
+            contacts.push[i, g, 1 + s] = up
+        for c in range(body.corners.shape[0]):
+            x = R * body.corners[c] + shift
+            if wp.dot(up, x) <= wp.max(lowest, floor) + TABLE_TOUCHES:
+                along = wp.vec2(wp.dot(x - x0, a), wp.dot(x - x0, b))
+                for s in range(4):
+                    value = along[s // 2] * wp.where(s % 2 == 0, 1.0, -1.0)
+                    if value > reach[s]:
+                        reach[s] = value
+                        contacts.point[i, g, 1 + s] = x
+        contacts.count[i, g] = 5
+
+
+@wp.func
+def touch(
+    i: int,
+    p: int,
+    count: int,
+    R: wp.mat33,
+    shift: wp.vec3,
+    tolerance: float,
+    body: Body,
+    hand: Hand,
+    reached: Reached,
+    fraction: wp.array2d(dtype=wp.float32),
+    contacts: Contacts,
+):
+    """For each finger the fraction at which it first touches, and the contacts of its patch: of the points within
+    `tolerance` [m] of its surface by then, up to five. And those of the palm, if the object touches it."""
+    fingers = fraction.shape[1]
+    grid = p * fingers  # all fingers of a preshape have grids of one shape
+    palm_start = int(-1)
+    palm_gap = float(PALM_TOUCHES)
+    for f in range(fingers):
+        fraction[i, f] = NEVER
+        contacts.count[i, f] = 0
+    for k in range(count):
+        x = R * body.points[reached.index[i, k]] + shift
+        n = R * body.normals[reached.index[i, k]]
+        reached.point[i, k] = x
+        reached.normal[i, k] = n
+        u = node_units(hand.arrival, grid, x)
+        inside = is_inside(u, hand.arrival.dims[grid])
+        for f in range(fingers):
+            t = float(NEVER)
+            if inside:
+                t = fraction_at(hand.arrival, grid + f, u, fraction[i, f] + FAR)
+            reached.excess[i, f, k] = t
+            if t < fraction[i, f]:
+                way = slowness(hand.arrival, grid + f, x)
+                if -wp.dot(n, way) >= FACING_FIRST * wp.length(way):
+                    fraction[i, f] = t
+                    contacts.count[i, f] = k  # for now, which point it is
+        gap = float(1.0e30)
+        if wp.dot(n, hand.approach) < -PALM_FACING:
+            gap = distance_near(hand.distance, p, x - hand.pivot[p], PALM_TOUCHES + tolerance)
+            if gap <= PALM_TOUCHES and not is_before_palm(hand.distance, p, x - hand.pivot[p], gap, hand.approach):
+                gap = float(1.0e30)
+        reached.excess[i, fingers, k] = gap
+        if gap <= palm_gap:
+            palm_gap = gap
+            palm_start = k
+    for f in range(fingers):
+        start = contacts.count[i, f]
+        on_face = int(-1)
+        nearest = float(tolerance)
+        contacts.count[i, f] = 0
+        if fraction[i, f] <= 1.0:
+            for k in range(count):  # from fractions to distances
+                late = reached.excess[i, f, k] - fraction[i, f]
+                if late < LATE:
+                    way = slowness(hand.arrival, grid + f, reached.point[i, k])
+                    if k != start and -wp.dot(reached.normal[i, k], way) < FACING * wp.length(way):
+                        late = float(NEVER)
+                    else:
+                        late = late / wp.max(wp.length(way), 1.0e-3)
+                reached.excess[i, f, k] = late
+                if late <= nearest and body.is_edge[reached.index[i, k]] == 0:
+                    nearest = late
+                    on_face = k
+            face = reached.normal[i, start]
+            if on_face >= 0:
+                start = on_face
+                face = reached.normal[i, on_face]
+            spread_patch(i, f, grid + f, start, face, on_face >= 0, count, tolerance, body, hand, reached, contacts)
+    contacts.count[i, fingers] = 0
+    if palm_start >= 0:
+        spread_patch(
+            i, fingers, -1, palm_start, hand.approach, True, count, palm_gap + tolerance, body, hand, reached, contacts
+        )

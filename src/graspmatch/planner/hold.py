@@ -1,0 +1,239 @@
+"""What happens when the fingers close: where they push the object, what they touch there, whether they hold it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from graspmatch.config import GripConfig
+from graspmatch.geometry.cloud import normal_sector, voxel_downsample
+from graspmatch.geometry.grid import Grid
+from graspmatch.kernels import warp_contacts, warp_hold, warp_wrench
+from graspmatch.kernels.fields import stack_fields
+from graspmatch.kernels.launch import launch
+from graspmatch.kernels.warp_fields import NEVER
+from graspmatch.planner.candidates import Candidates
+from graspmatch.planner.upload import pose_arrays, upload_gripper
+from graspmatch.scene.scene import Scene
+from graspmatch.types import Gripper
+
+Array = np.ndarray
+
+GRAVITY = 9.81
+"""[m/s2]"""
+FINEST = 0.0025
+"""Spacing of the points that fingers can touch, finer than which clouds are not [m]."""
+ROOM = 0.012
+"""Points farther from where fingers sweep are not touched, even if the object is pushed [m]."""
+EDGE = 0.5
+"""Cosine between normals of neighbours beside an edge, at most; those of opposite sides are the other way [-1, 1]."""
+NEIGHBOURS = 8
+"""Points in which an edge is looked for."""
+NO_TABLE = -1.0e6
+"""Height of the table where there is none [m]."""
+SEARCHES = 6
+"""Steps of the search for the wrench that friction cannot balance."""
+DESCENTS = 12
+"""Steps of the search for the weakest direction."""
+
+
+@dataclass(frozen=True)
+class Touchable:
+    """The object as closing fingers meet it, on the device, and what it weighs on."""
+
+    body: warp_contacts.Body
+    centre_of_mass: Float[Array, "3"]
+    length: float
+    """Root mean square distance of its surface from the centre of mass [m]: torques are measured by it."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """What came of n grasps; contacts are those in the end, gripper frame, of f fingers, the palm and the table."""
+
+    held: Bool[Array, "n"]
+    """Whether friction balanced the object's weight after the lift."""
+    margin: Float[Array, "n"]
+    """Smallest wrench that is not resisted then, besides the weight; below zero, what is missing to hold the object.
+    In units of one finger's force and, for torques, of that times the object's length."""
+    fraction: Float[Array, "n f"]
+    """Closing fraction at which each finger touches; 2 where it does not."""
+    count: Int[Array, "n g"]
+    point: Float[Array, "n g c 3"]
+    """[m]"""
+    push: Float[Array, "n g c 3"]
+    """Unit vectors along which the contacts push the object: against its normals."""
+    pushed: Float[Array, "n"]
+    """Way of the object's centre of mass while the fingers close [m] ..."""
+    turned: Float[Array, "n"]
+    """... and how far it turns [rad]."""
+    slipped: Float[Array, "n"]
+    """Way of the centre of mass after that [m]."""
+
+    @property
+    def contacts(self) -> Int[Array, "n"]:
+        """Number of contacts of fingers and palm."""
+        return self.count.sum(axis=-1)
+
+
+def touchable(scene: Scene, most: int, device: str) -> Touchable:
+    """The object thinned to at most so many evenly spread points, those of opposite sides kept apart."""
+    points, normals = scene.target.points - scene.centre_of_mass, scene.target.normals
+    assert normals is not None  # every scene estimates them
+    spacing, sectors = FINEST, normal_sector(normals)
+    index = _spread(points, spacing, sectors)
+    if len(index) > most:
+        index = _spread(points, spacing * np.sqrt(len(index) / most), sectors)
+    index = np.random.default_rng(0).permutation(index)  # any of the first are spread evenly too
+    down = -scene.table.normal if scene.table is not None else np.array([0.0, 0.0, -1.0])
+    corners = points[np.unique(np.argmax(points @ OUTWARD.T, axis=0))]
+    body = warp_contacts.Body()
+    body.points = wp.array(points[index], dtype=wp.vec3, device=device)
+    body.normals = wp.array(normals[index], dtype=wp.vec3, device=device)
+    body.is_edge = wp.array(beside_edge(points[index], normals[index]), dtype=wp.int32, device=device)
+    body.corners = wp.array(corners, dtype=wp.vec3, device=device)
+    body.down = wp.vec3(*down)
+    body.table = NO_TABLE
+    if scene.table is not None:
+        body.table = float(scene.table.offset - scene.table.normal @ scene.centre_of_mass)
+    length = max(float(np.sqrt(np.mean(np.sum(points[index] ** 2, axis=-1)))), 1e-3)
+    return Touchable(body, scene.centre_of_mass, length)
+
+
+def beside_edge(points: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> Bool[Array, "n"]:
+    """Whether a neighbour's normal is about across that of the point."""
+    count = min(NEIGHBOURS + 1, len(points))
+    _, neighbours = KDTree(points).query(points, k=count)
+    cosine = np.einsum("nki,ni->nk", normals[neighbours], normals)
+    return np.any(np.abs(cosine) < EDGE, axis=-1)
+
+
+def hold(
+    candidates: Candidates,
+    friction: Float[Array, "n"],
+    target: Touchable,
+    gripper: Gripper,
+    config: GripConfig,
+    device: str,
+) -> Held:
+    """Close the fingers of all candidates, each with its own friction, and lift."""
+    n, f = len(candidates), len(gripper.fingers)
+    room = min(config.reachable_points, len(target.body.points))
+    contacts, reached = _room_for_contacts(n, f, device), _room_for_points(n, f, room, device)
+    fraction = wp.empty((n, f), dtype=wp.float32, device=device)
+    state = wp.empty(n, dtype=wp.int32, device=device)
+    margin = wp.empty(n, dtype=wp.float32, device=device)
+    figures = wp.empty((n, warp_hold.FIGURES), dtype=wp.float32, device=device)
+    inputs = [
+        target.body,
+        _touching_hand(gripper, device),
+        pressure_of(gripper, friction, target.length, config, device),
+        _course(gripper, config),
+        wp.array(DIRECTIONS, dtype=wp.spatial_vector, device=device),
+        *pose_arrays(candidates, target.centre_of_mass, device),
+    ]
+    launch(warp_hold.hold, n, inputs, [reached, contacts, fraction, state, margin, figures], device)
+    return Held(
+        held=state.numpy() == warp_hold.HELD,
+        margin=margin.numpy().astype(float),
+        fraction=fraction.numpy().astype(float),
+        count=contacts.count.numpy().astype(int),
+        point=contacts.point.numpy().astype(float),
+        push=contacts.push.numpy().astype(float),
+        pushed=figures.numpy()[:, 0].astype(float),
+        turned=figures.numpy()[:, 1].astype(float),
+        slipped=figures.numpy()[:, 2].astype(float),
+    )
+
+
+def pressure_of(
+    gripper: Gripper, friction: Float[Array, "n"], length: float, config: GripConfig, device: str
+) -> warp_wrench.Pressure:
+    """How the hand presses: drives of one finger as hard as all others against it, a drive of several as one."""
+    drive = drives(gripper)
+    share = np.array([drive.count(first) for first in drive])
+    pressure = warp_wrench.Pressure()
+    pressure.drive = wp.array(drive, dtype=wp.int32, device=device)
+    pressure.share = wp.array(share, dtype=wp.float32, device=device)
+    pressure.most = float(max(len(drive) - 1, 1))
+    pressure.friction = wp.array(friction, dtype=wp.float32, device=device)
+    pressure.torsion, pressure.length = config.torsional_friction, length
+    return pressure
+
+
+def drives(gripper: Gripper) -> list[int]:
+    """For each finger the first one that a joint of its closes too."""
+    joints = [set(finger.joints) for finger in gripper.fingers]
+    return [next(g for g, other in enumerate(joints) if other & own) for own in joints]
+
+
+def _course(gripper: Gripper, config: GripConfig) -> warp_hold.Course:
+    course = warp_hold.Course()
+    course.step, course.patch = config.step, config.patch_depth
+    course.closing_steps, course.lifting_steps = config.closing_steps, config.lifting_steps
+    course.weight = config.mass * GRAVITY / gripper.finger_force
+    course.tolerance = min(config.balanced, course.weight / 2)  # what lies on nothing falls
+    course.searches, course.descents = SEARCHES, DESCENTS
+    return course
+
+
+@lru_cache(maxsize=4)
+def _touching_hand(gripper: Gripper, device: str) -> warp_contacts.Hand:
+    """Fields of all preshapes, and where they can touch something, the hand before it closes included."""
+    uploaded = upload_gripper(gripper, device)
+    reach = []
+    for preshape in gripper.preshapes:
+        touches = np.any(preshape.arrival < NEVER, axis=0) | (np.abs(preshape.hand.values) < preshape.hand.spacing)
+        steps = max(int(np.ceil(ROOM / preshape.hand.spacing)), 1)
+        near = ndimage.binary_dilation(touches, iterations=steps)
+        reach.append(Grid(preshape.hand.origin, preshape.hand.spacing, near.astype(np.float32)))
+    hand = warp_contacts.Hand()
+    hand.arrival, hand.distance = uploaded.arrival, uploaded.matching.distance
+    hand.pivot = wp.array(uploaded.pivots, dtype=wp.vec3, device=device)
+    hand.approach = wp.vec3(*gripper.approach)
+    hand.reach = stack_fields(reach, device)
+    return hand
+
+
+def _room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contacts:
+    shape = (n, fingers + 2, warp_wrench.CORNERS)
+    contacts = warp_wrench.Contacts()
+    contacts.count = wp.zeros(shape[:2], dtype=wp.int32, device=device)
+    contacts.point = wp.zeros(shape, dtype=wp.vec3, device=device)
+    contacts.push = wp.zeros(shape, dtype=wp.vec3, device=device)
+    contacts.centre = wp.zeros(n, dtype=wp.vec3, device=device)
+    return contacts
+
+
+def _room_for_points(n: int, fingers: int, room: int, device: str) -> warp_contacts.Reached:
+    reached = warp_contacts.Reached()
+    reached.index = wp.empty((n, room), dtype=wp.int32, device=device)
+    reached.point = wp.empty((n, room), dtype=wp.vec3, device=device)
+    reached.normal = wp.empty((n, room), dtype=wp.vec3, device=device)
+    reached.excess = wp.empty((n, fingers + 1, room), dtype=wp.float32, device=device)
+    return reached
+
+
+def _spread(points: Float[Array, "n 3"], spacing: float, sectors: Int[Array, "n"]) -> Int[Array, "m"]:
+    """One point of each voxel and side."""
+    _, inverse = voxel_downsample(points, spacing, labels=sectors)
+    return np.unique(inverse, return_index=True)[1]
+
+
+def _unit_vectors(count: int, dimensions: int) -> Float[Array, "k d"]:
+    """Unit vectors: both ways along each axis, and some at random."""
+    drawn = np.random.default_rng(0).normal(size=(count - 2 * dimensions, dimensions))
+    vectors = np.concatenate([np.eye(dimensions), -np.eye(dimensions), drawn])
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+DIRECTIONS = _unit_vectors(64, 6)
+"""In the space of wrenches, from which the search for the weakest one starts."""
+OUTWARD = _unit_vectors(128, 3)
+"""In which the object's corners are looked for."""

@@ -1,0 +1,198 @@
+"""How sure a grasp is, which are tried at all, and what moving them a little brings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graspmatch.config import PlannerConfig, RefiningConfig
+from graspmatch.geometry import se3
+from graspmatch.gripper.load import load_gripper
+from graspmatch.planner.avoid import upload_space
+from graspmatch.planner.candidates import Candidates, Closed
+from graspmatch.planner.close import contact_joints
+from graspmatch.planner.grade import (
+    CALIBRATION,
+    LOST,
+    Trials,
+    confidence,
+    draw_trials,
+    foremost,
+    grade,
+    middling,
+    stopped,
+)
+from graspmatch.planner.hold import hold
+from graspmatch.planner.match import prepare
+from graspmatch.planner.refine import Judge, confirm, judge_of, refine
+from graspmatch.planner.tally import Tally
+from graspmatch.scene.scene import Scene
+from graspmatch.scene.shapes import convex_hull
+from graspmatch.types import Gripper
+
+DOWN = np.diag([1.0, -1.0, -1.0])
+CONFIG = PlannerConfig()
+MIDDLE = np.array([0.0, 0.0, 0.03])
+
+
+@pytest.fixture(scope="module")
+def franka() -> Gripper:
+    return load_gripper("franka_hand")
+
+
+@pytest.fixture(scope="module")
+def judge(franka) -> Judge:
+    """A box of 60 x 40 x 60 mm on a table."""
+    corners = np.stack(np.meshgrid([-0.03, 0.03], [-0.02, 0.02], [0.0, 0.06], indexing="ij"), axis=-1).reshape(-1, 3)
+    scene = Scene.from_mesh(convex_hull(corners), table=0.0)
+    problem = prepare(scene, franka, CONFIG.matching, np.random.default_rng(0), "cpu")
+    return judge_of(scene, franka, upload_space(scene, franka, "cpu"), problem, CONFIG, "cpu")
+
+
+def around(judge: Judge, count: int, seed: int = 0, spread: float = 1.0) -> Closed:
+    """Hands from above that close on the box somewhere, somehow turned; the first is centred, every fifth misses."""
+    rng, gripper = np.random.default_rng(seed), judge.gripper
+    at = MIDDLE + spread * rng.normal(size=(count, 3)) * [0.012, 0.006, 0.008]
+    w = spread * rng.normal(size=(count, 3)) * 0.2
+    at[4::5] += [0.0, 0.0, 0.15]
+    at[0], w[0] = MIDDLE, 0.0
+    R = DOWN @ se3.rotation_exp(w)
+    poses = Candidates(np.zeros(count, dtype=int), se3.from_parts(R, at - R @ gripper.tool_centre_point))
+    config = judge.config.grip
+    fraction = hold(poses, np.full(count, 0.3), judge.target, gripper, config, "cpu").fraction
+    return Closed(
+        **vars(poses),
+        matching_error=np.zeros(count),
+        loss=np.zeros(count),
+        is_free=np.ones(count, dtype=bool),
+        matched_preshape=poses.preshape,
+        clearance=np.full(count, 0.002),
+        retreat=np.zeros(count),
+        closing_fraction=fraction,
+        grasp_joints=contact_joints(poses.preshape, fraction, gripper),
+    )
+
+
+def test_confidence_grows_with_the_margin_and_with_the_share_that_holds_and_falls_with_the_loss():
+    axes = np.linspace(-1, 2, 31), np.linspace(0, 1, 7), np.linspace(0, 0.02, 5)
+    values = confidence(*(a.ravel() for a in np.meshgrid(*axes, indexing="ij"))).reshape(31, 7, 5)
+    assert np.all((values > 0) & (values < 1))
+    assert np.all(np.diff(values, axis=0) > 0)
+    assert np.all(np.diff(values, axis=1) > 0)
+    assert np.all(np.diff(values, axis=2) < 0)
+    assert confidence(np.zeros(1), np.zeros(1), np.zeros(1))[0] == pytest.approx(1 / (1 + np.exp(-CALIBRATION[0])))
+
+
+def test_trials_are_errors_of_the_size_asked_for_about_the_tool_centre_point(franka):
+    config = replace(CONFIG.grip, trials=1000)
+    trials = draw_trials(franka, config, 0)
+    moved = se3.apply(trials.error, np.tile(franka.tool_centre_point, (1000, 1, 1)))[:, 0] - franka.tool_centre_point
+    assert moved.std(axis=0) == pytest.approx(np.full(3, config.position_error), rel=0.1)
+    cosine = (np.trace(trials.error[:, :3, :3], axis1=1, axis2=2) - 1) / 2
+    angle = np.arccos(np.clip(cosine, -1, 1))
+    assert np.sqrt(np.mean(angle**2)) == pytest.approx(np.sqrt(3) * config.angle_error, rel=0.1)
+    assert set(trials.friction) == set(config.frictions)
+
+
+def test_the_same_seed_tries_the_same(franka, judge):
+    first, again, other = (draw_trials(franka, CONFIG.grip, seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.error, again.error)
+    assert not np.array_equal(first.error, other.error)
+    closed = around(judge, 6)
+    no_loss = np.zeros(6)
+    a, b, c = (
+        grade(closed, no_loss, no_loss, t, judge.target, franka, CONFIG.grip, "cpu") for t in (first, again, other)
+    )
+    np.testing.assert_array_equal(a.confidence, b.confidence)
+    assert not np.array_equal(a.confidence, c.confidence)
+
+
+def test_grades_are_shares_of_the_trials_and_means_of_their_margins(franka, judge):
+    closed = around(judge, 24)
+    graded = judge.grade(closed, judge.first)
+    share = graded.held_share * CONFIG.grip.first_trials
+    np.testing.assert_allclose(share, np.round(share), atol=1e-9)
+    assert np.all(graded.held_share[4::5] == 0)
+    assert graded.held_share[0] == 1
+    assert np.all(graded.margin[graded.held_share == 0] == LOST)
+    np.testing.assert_array_equal(graded.confidence, confidence(graded.margin, graded.held_share, graded.final_loss))
+    assert graded.confidence[0] > np.median(graded.confidence)
+
+
+def test_without_errors_every_trial_is_the_plan(franka, judge):
+    closed, n = around(judge, 8), 8
+    trials = Trials(np.tile(np.eye(4), (3, 1, 1)), np.full(3, middling(CONFIG.grip)))
+    graded = grade(closed, np.zeros(n), np.zeros(n), trials, judge.target, franka, CONFIG.grip, "cpu")
+    planned = hold(closed, np.full(n, middling(CONFIG.grip)), judge.target, franka, CONFIG.grip, "cpu")
+    np.testing.assert_array_equal(graded.held_share, planned.held)
+    np.testing.assert_allclose(graded.margin, np.where(planned.held, planned.margin, LOST))
+
+
+def test_fingers_end_where_they_hold_the_object(franka, judge):
+    closed = around(judge, 5)
+    elsewhere = replace(closed, closing_fraction=np.full((5, 2), 0.1))
+    graded = stopped(judge.grade(elsewhere, judge.first), judge.target, franka, CONFIG.grip, "cpu")
+    np.testing.assert_allclose(graded.closing_fraction[0], 0.5, atol=0.02)  # 40 of 80 mm
+    np.testing.assert_allclose(graded.grasp_joints[0], 0.02, atol=0.001)
+    np.testing.assert_array_equal(graded.closing_fraction[4], 0.1)  # holds nothing
+
+
+def test_none_are_graded_without_an_error(judge):
+    graded = judge.grade(around(judge, 1).select(np.zeros(0, dtype=int)), judge.first)
+    assert graded.confidence.shape == graded.held_share.shape == (0,)
+    assert len(refine(graded, judge)) == 0
+
+
+def test_the_foremost_hold_and_the_tally_adds_up(franka, judge):
+    closed = around(judge, 40)
+    tally = Tally(40)
+    chosen = foremost(closed, 10, judge.target, franka, CONFIG.grip, "cpu", tally)
+    dropped = sum(count for reason, count in tally.counts.items() if reason != "candidates")
+    assert len(chosen) == 10
+    assert len(chosen) + dropped == 40
+    held = [
+        hold(some, np.full(len(some), middling(CONFIG.grip)), judge.target, franka, CONFIG.grip, "cpu").held
+        for some in (chosen, closed)
+    ]
+    assert held[0].all()
+    assert not held[1].all()
+
+
+def test_refining_makes_no_grasp_less_sure(judge):
+    graded = judge.grade(around(judge, 10, spread=0.5), judge.first)
+    refined = refine(graded, judge)
+    assert len(refined) == len(graded)
+    before, after = np.sort(graded.confidence)[::-1], np.sort(refined.confidence)[::-1]
+    assert np.all(after >= before)
+    assert after[: CONFIG.refining.count].mean() > before[: CONFIG.refining.count].mean()
+    moved = ~np.isin(refined.T_world_gripper[:, 0, 3], graded.T_world_gripper[:, 0, 3])
+    assert 0 < moved.sum() <= CONFIG.refining.count
+    assert np.all(refined.clearance[moved] > 0.98 * CONFIG.collision.clearance)
+    np.testing.assert_allclose(judge.grade(refined.as_closed(), judge.first).confidence, refined.confidence)
+
+
+@pytest.mark.parametrize("off", [RefiningConfig(count=0), RefiningConfig(rounds=0)])
+def test_refining_can_be_turned_off(judge, off):
+    graded = judge.grade(around(judge, 4), judge.first)
+    same = refine(graded, replace(judge, config=replace(CONFIG, refining=off)))
+    np.testing.assert_array_equal(same.T_world_gripper, graded.T_world_gripper)
+
+
+def test_confirming_tries_all_that_lead_as_often_as_wanted(judge):
+    graded = judge.grade(around(judge, 20), judge.first)
+    confirmed = confirm(graded, judge)
+    np.testing.assert_array_equal(confirmed.T_world_gripper, graded.T_world_gripper)
+    every = judge.grade(graded.as_closed(), slice(None))
+    leaders = np.argsort(-confirmed.confidence, kind="stable")[: CONFIG.grip.leaders]
+    np.testing.assert_allclose(confirmed.confidence[leaders], every.confidence[leaders])
+    np.testing.assert_allclose(confirmed.held_share[leaders], every.held_share[leaders])
+    others = ~np.isclose(confirmed.margin, every.margin)
+    np.testing.assert_array_equal(confirmed.margin[others], graded.margin[others])
+
+
+def test_there_is_nothing_to_confirm_when_all_trials_are_the_first(judge):
+    config = replace(CONFIG, grip=replace(CONFIG.grip, trials=6))
+    graded = judge.grade(around(judge, 4), judge.first)
+    np.testing.assert_array_equal(confirm(graded, replace(judge, config=config)).margin, graded.margin)

@@ -55,6 +55,8 @@ class Lifted:
     margin: Float[Array, "n"]
     """Mean over the trials of the planner."""
     held_share: Float[Array, "n"]
+    standing: Float[Array, "n"]
+    """Mean margin before the object turns, see `Graded`."""
     """Of those trials."""
     loss: Float[Array, "n"]
     """Eq. (13) [m2]."""
@@ -97,6 +99,7 @@ class Lifted:
 FIGURES = (
     "margin",
     "held_share",
+    "standing",
     "loss",
     "planned_margin",
     "pushed",
@@ -228,6 +231,7 @@ def with_figures(job: Job, grasps: GraspSet, scene: Scene, gripper: Gripper, rea
         object=np.full(len(grasps), job.object),
         margin=graded.margin,
         held_share=graded.held_share,
+        standing=graded.standing,
         loss=grasps.loss,
         contacts=planned.contacts,
         planned_margin=planned.margin,

@@ -21,6 +21,7 @@ Array = np.ndarray
 TERMS: dict[str, Callable[[Lifted], Array]] = {
     "margin": lambda lifted: lifted.margin,
     "held share": lambda lifted: lifted.held_share,
+    "standing margin": lambda lifted: lifted.standing,
     "root loss": lambda lifted: np.sqrt(np.maximum(lifted.loss, 0.0)) / LOSS_SCALE,
     "contacts": lambda lifted: lifted.contacts.astype(float),
     "margin as planned": lambda lifted: lifted.planned_margin,
@@ -31,7 +32,7 @@ TERMS: dict[str, Callable[[Lifted], Array]] = {
 }
 """Figures of a grasp that say something of whether it holds: loss as the planner scales it, push and slip in
 centimetres, clearance in millimetres, forces in those of a finger."""
-MODEL = ("margin", "held share", "root loss")
+MODEL = ("margin", "held share", "root loss", "standing margin")
 """Those that the planner ranks by, in the order of its constants."""
 OTHERS = tuple(name for name in TERMS if name not in MODEL)
 

@@ -54,7 +54,7 @@ def compare(scene: Scene, gripper: Gripper, seed: int) -> dict[str, list[float]]
     for name, matched in results.items():
         root = 1000 * np.sqrt(np.sort(matched.loss))
         good = matched.select(matched.loss <= limit)
-        basins = len(rank(good, -good.loss, RankingConfig(count=len(matched)), Tally(0)))
+        basins = len(rank(good, -good.loss, RankingConfig(count=len(matched)), Tally(0), "worse"))
         rows[name] = [root[0], root[:10].mean(), float(np.median(root)), float(basins), free[name]]
     return rows
 

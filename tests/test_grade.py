@@ -10,12 +10,12 @@ import pytest
 from graspmatch.config import PlannerConfig, RefiningConfig
 from graspmatch.geometry import se3
 from graspmatch.gripper.load import load_gripper
+from graspmatch.kernels.warp_hold import LOST_MARGIN
 from graspmatch.planner.avoid import upload_space
 from graspmatch.planner.candidates import Candidates, Closed
 from graspmatch.planner.close import contact_joints
 from graspmatch.planner.grade import (
     CALIBRATION,
-    LOST,
     Trials,
     confidence,
     draw_trials,
@@ -76,13 +76,14 @@ def around(judge: Judge, count: int, seed: int = 0, spread: float = 1.0) -> Clos
 
 
 def test_confidence_grows_with_the_margin_and_with_the_share_that_holds_and_falls_with_the_loss():
-    axes = np.linspace(-1, 2, 31), np.linspace(0, 1, 7), np.linspace(0, 0.02, 5)
-    values = confidence(*(a.ravel() for a in np.meshgrid(*axes, indexing="ij"))).reshape(31, 7, 5)
+    axes = np.linspace(-1, 2, 31), np.linspace(0, 1, 7), np.linspace(0, 0.02, 5), np.linspace(-1, 1, 5)
+    values = confidence(*(a.ravel() for a in np.meshgrid(*axes, indexing="ij"))).reshape(31, 7, 5, 5)
     assert np.all((values > 0) & (values < 1))
     assert np.all(np.diff(values, axis=0) > 0)
     assert np.all(np.diff(values, axis=1) > 0)
     assert np.all(np.diff(values, axis=2) < 0)
-    assert confidence(np.zeros(1), np.zeros(1), np.zeros(1))[0] == pytest.approx(1 / (1 + np.exp(-CALIBRATION[0])))
+    assert np.all(np.diff(values, axis=3) > 0)
+    assert confidence(*np.zeros((4, 1)))[0] == pytest.approx(1 / (1 + np.exp(-CALIBRATION[0])))
 
 
 def test_trials_are_errors_of_the_size_asked_for_about_the_tool_centre_point(franka):
@@ -116,8 +117,10 @@ def test_grades_are_shares_of_the_trials_and_means_of_their_margins(franka, judg
     np.testing.assert_allclose(share, np.round(share), atol=1e-9)
     assert np.all(graded.held_share[4::5] == 0)
     assert graded.held_share[0] == 1
-    assert np.all(graded.margin[graded.held_share == 0] == LOST)
-    np.testing.assert_array_equal(graded.confidence, confidence(graded.margin, graded.held_share, graded.final_loss))
+    assert np.all(graded.margin[graded.held_share == 0] == LOST_MARGIN)
+    np.testing.assert_array_equal(
+        graded.confidence, confidence(graded.margin, graded.held_share, graded.final_loss, graded.standing)
+    )
     assert graded.confidence[0] > np.median(graded.confidence)
 
 
@@ -127,7 +130,7 @@ def test_without_errors_every_trial_is_the_plan(franka, judge):
     graded = grade(closed, np.zeros(n), np.zeros(n), trials, judge.target, franka, CONFIG.grip, "cpu")
     planned = hold(closed, np.full(n, middling(CONFIG.grip)), judge.target, franka, CONFIG.grip, "cpu")
     np.testing.assert_array_equal(graded.held_share, planned.held)
-    np.testing.assert_allclose(graded.margin, np.where(planned.held, planned.margin, LOST))
+    np.testing.assert_allclose(graded.margin, np.where(planned.held, planned.margin, LOST_MARGIN))
 
 
 def test_fingers_end_where_they_hold_the_object(franka, judge):

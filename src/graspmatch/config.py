@@ -129,7 +129,7 @@ class GripConfig:
     """Of an object whose weight must be carried [kg]."""
     patch_depth: float = 0.002
     """How near to a finger that touches more of the object must be, to count as touching too [m]."""
-    finalists: int = 32
+    finalists: int = 24
     """So many promising candidates are tried ..."""
     first_trials: int = 6
     """... so many times, the hand a little displaced, ..."""
@@ -143,7 +143,7 @@ class GripConfig:
     """... and about each axis [rad]."""
     points: int = 2000
     """Of the object, at most so many ..."""
-    reachable_points: int = 600
+    reachable_points: int = 400
     """... and of those that one hand can reach."""
     step: float = 0.004
     """Of the object as it gives way [m]."""
@@ -159,7 +159,7 @@ class GripConfig:
 class RefiningConfig:
     """Moving the best grasps a little where that makes them surer."""
 
-    count: int = 6
+    count: int = 4
     """So many of them; 0: none."""
     rounds: int = 2
     """Steps of the search."""

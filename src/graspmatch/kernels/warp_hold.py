@@ -19,6 +19,8 @@ CLOSING = 0
 LIFTED = 1
 HELD = 2
 LOST = 3
+LOST_MARGIN = -1.0
+"""Of what is lost: as if a whole finger's force were missing."""
 SLACK = 0.01
 """Closing fraction within which fingers count as touching together."""
 SHORTEST = 0.2
@@ -45,6 +47,8 @@ class Course:
     """Of the object, in units of one finger's force."""
     patch: wp.float32
     """Depth of a contact patch [m]."""
+    turns: wp.float32
+    """One; zero for an object that fingers can push but not turn."""
 
 
 @wp.func
@@ -159,7 +163,7 @@ def hold(
                 state = int(LOST)
             else:
                 move = step / size * wp.spatial_top(w)
-                turn = step / size / pressure.length * wp.spatial_bottom(w)
+                turn = course.turns * step / size / pressure.length * wp.spatial_bottom(w)
                 angle = wp.length(turn)
                 c += move
                 if angle > 1.0e-9:
@@ -169,8 +173,10 @@ def hold(
                 steps += 1
                 last = w
     contacts.count[i, fingers + 1] = 0
-    margin = margin_of(contacts, pressure, i, weight, directions, course.descents)
-    if margin < -course.tolerance:
-        state = int(LOST)  # the search for the least wrench did not find what the one for the margin does
+    margin = float(LOST_MARGIN)
+    if state == HELD or course.turns == 0.0:
+        margin = margin_of(contacts, pressure, i, weight, directions, course.descents)
+        if margin < -course.tolerance:
+            state = int(LOST)  # the search for the least wrench did not find what the one for the margin does
     state_out[i] = state
     margin_out[i] = margin

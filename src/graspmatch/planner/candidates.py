@@ -76,6 +76,9 @@ class Graded(Closed):
     """Smallest wrench that is not resisted in the end, the mean over all trials: see `hold.Held`, `grade.grade`."""
     held_share: Float[Array, "n"]
     """Share of the trials in which the object is held."""
+    standing: Float[Array, "n"]
+    """The mean margin as the fingers meet the object, before it turns, for a hand that presses no harder than two
+    fingers of one drive."""
     confidence: Float[Array, "n"]
     """Share of such grasps that hold in simulation."""
 

@@ -9,21 +9,22 @@ from jaxtyping import Float
 
 from graspmatch.config import GripConfig, RankingConfig
 from graspmatch.geometry import se3
+from graspmatch.kernels.warp_hold import LOST_MARGIN
 from graspmatch.planner.candidates import Candidates, Closed, Graded
 from graspmatch.planner.close import contact_joints
-from graspmatch.planner.hold import Touchable, hold
+from graspmatch.planner.hold import Touchable, hold, most_force
 from graspmatch.planner.rank import rank
 from graspmatch.planner.tally import Tally
 from graspmatch.types import Gripper
 
 Array = np.ndarray
 
-LOST = -1.0
-"""Margin of an object that is not held in the end: as if a whole finger's force were missing."""
+WORST = -2.0
+"""Margins as the fingers meet the object count no less."""
 LOSS_SCALE = 0.05
 """[m]"""
-CALIBRATION = (1.9, 2.23, 2.15, -0.79)
-"""Offset, and weights of the margin, of the share of trials that hold, and of the root of the loss."""
+CALIBRATION = (2.36, 1.77, 2.12, -0.97, 1.18)
+"""Offset, and weights of margin, share of trials that hold, root of the loss, and standing margin."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def foremost(
 ) -> Closed:
     """The most promising distinct candidates: those that hold best where they are, with middling friction."""
     held = hold(closed, np.full(len(closed), middling(config)), target, gripper, config, device)
-    worth = np.where(held.held, held.margin, LOST + np.minimum(held.margin, 0.0))
+    worth = np.where(held.held, held.margin, held.margin - np.sqrt(closed.loss))  # lost: those that match best
     order = rank(closed, worth, RankingConfig(count=count), tally, "less promising than others")
     return closed.select(order)
 
@@ -78,15 +79,18 @@ def grade(
         np.repeat(closed.preshape, k), (closed.T_world_gripper[:, None] @ trials.error).reshape(-1, 4, 4)
     )
     tried = hold(displaced, np.tile(trials.friction, n), target, gripper, config, device)
-    margin = np.where(tried.held, tried.margin, LOST).reshape(n, k).mean(axis=-1)
+    margin = np.where(tried.held, tried.margin, LOST_MARGIN).reshape(n, k).mean(axis=-1)
     held_share = tried.held.reshape(n, k).mean(axis=-1)
+    met = hold(displaced, np.full(n * k, middling(config)), target, gripper, config, device, upright=True)
+    standing = np.maximum(met.margin, WORST).reshape(n, k).mean(axis=-1) / strength(gripper)
     return Graded(
         **vars(closed),
         error=error,
         final_loss=loss,
         margin=margin,
         held_share=held_share,
-        confidence=confidence(margin, held_share, loss),
+        standing=standing,
+        confidence=confidence(margin, held_share, loss, standing),
     )
 
 
@@ -94,8 +98,9 @@ def pooled(a: Graded, b: Graded, share: float) -> Graded:
     """The same grasps after the trials of both, of which `a` had this share."""
     margin = share * a.margin + (1 - share) * b.margin
     held_share = share * a.held_share + (1 - share) * b.held_share
-    sure = confidence(margin, held_share, a.final_loss)
-    return replace(a, margin=margin, held_share=held_share, confidence=sure)
+    standing = share * a.standing + (1 - share) * b.standing
+    sure = confidence(margin, held_share, a.final_loss, standing)
+    return replace(a, margin=margin, held_share=held_share, standing=standing, confidence=sure)
 
 
 def stopped(graded: Graded, target: Touchable, gripper: Gripper, config: GripConfig, device: str) -> Graded:
@@ -112,8 +117,17 @@ def middling(config: GripConfig) -> float:
     return float(np.median(config.frictions))
 
 
-def confidence(margin: Float[Array, "n"], held_share: Float[Array, "n"], loss: Float[Array, "n"]) -> Float[Array, "n"]:
+def strength(gripper: Gripper) -> float:
+    """How hard all fingers can press together, by how hard two of one drive do."""
+    fingers = len(gripper.fingers)
+    return fingers * most_force(gripper) / 2
+
+
+def confidence(
+    margin: Float[Array, "n"], held_share: Float[Array, "n"], loss: Float[Array, "n"], standing: Float[Array, "n"]
+) -> Float[Array, "n"]:
     """Share of grasps with these figures that hold: a logistic model, fitted by `bench/calibration.py`."""
-    offset, by_margin, by_share, by_loss = CALIBRATION
+    offset, *weights = CALIBRATION
     root_loss = np.sqrt(np.maximum(loss, 0.0)) / LOSS_SCALE
-    return 1 / (1 + np.exp(-(offset + by_margin * margin + by_share * held_share + by_loss * root_loss)))
+    terms = np.stack([margin, held_share, root_loss, standing], axis=-1)
+    return 1 / (1 + np.exp(-(offset + terms @ np.array(weights))))

@@ -39,6 +39,8 @@ NO_TABLE = -1.0e6
 """Height of the table where there is none [m]."""
 SEARCHES = 6
 """Steps of the search for the wrench that friction cannot balance."""
+CHUNKS = 8
+"""For each thread: some grasps take much longer than others."""
 DESCENTS = 12
 """Steps of the search for the weakest direction."""
 
@@ -121,8 +123,11 @@ def hold(
     gripper: Gripper,
     config: GripConfig,
     device: str,
+    *,
+    upright: bool = False,
 ) -> Held:
-    """Close the fingers of all candidates, each with its own friction, and lift."""
+    """Close the fingers of all candidates, each with its own friction, and lift. An object that stays upright is only
+    pushed, not turned, and what holds it is asked before it is lifted."""
     n, f = len(candidates), len(gripper.fingers)
     room = min(config.reachable_points, len(target.body.points))
     contacts, reached = _room_for_contacts(n, f, device), _room_for_points(n, f, room, device)
@@ -134,11 +139,12 @@ def hold(
         target.body,
         _touching_hand(gripper, device),
         pressure_of(gripper, friction, target.length, config, device),
-        _course(gripper, config),
+        _course(gripper, config, upright=upright),
         wp.array(DIRECTIONS, dtype=wp.spatial_vector, device=device),
         *pose_arrays(candidates, target.centre_of_mass, device),
     ]
-    launch(warp_hold.hold, n, inputs, [reached, contacts, fraction, state, margin, figures], device)
+    outputs = [reached, contacts, fraction, state, margin, figures]
+    launch(warp_hold.hold, n, inputs, outputs, device, chunks=CHUNKS)
     return Held(
         held=state.numpy() == warp_hold.HELD,
         margin=margin.numpy().astype(float),
@@ -161,10 +167,16 @@ def pressure_of(
     pressure = warp_wrench.Pressure()
     pressure.drive = wp.array(drive, dtype=wp.int32, device=device)
     pressure.share = wp.array(share, dtype=wp.float32, device=device)
-    pressure.most = float(max(len(drive) - 1, 1))
+    pressure.most = most_force(gripper)
     pressure.friction = wp.array(friction, dtype=wp.float32, device=device)
     pressure.torsion, pressure.length = config.torsional_friction, length
     return pressure
+
+
+def most_force(gripper: Gripper) -> float:
+    """How much harder than rated a finger can press: with a drive of its own, as hard as all others against it."""
+    own = len(set(drives(gripper))) == len(gripper.fingers)
+    return float(max(len(gripper.fingers) - 1, 1)) if own else 1.0
 
 
 def drives(gripper: Gripper) -> list[int]:
@@ -173,10 +185,11 @@ def drives(gripper: Gripper) -> list[int]:
     return [next(g for g, other in enumerate(joints) if other & own) for own in joints]
 
 
-def _course(gripper: Gripper, config: GripConfig) -> warp_hold.Course:
+def _course(gripper: Gripper, config: GripConfig, *, upright: bool) -> warp_hold.Course:
     course = warp_hold.Course()
     course.step, course.patch = config.step, config.patch_depth
-    course.closing_steps, course.lifting_steps = config.closing_steps, config.lifting_steps
+    course.turns, course.closing_steps = 0.0 if upright else 1.0, config.closing_steps
+    course.lifting_steps = 0 if upright else config.lifting_steps
     course.weight = config.mass * GRAVITY / gripper.finger_force
     course.tolerance = min(config.balanced, course.weight / 2)  # what lies on nothing falls
     course.searches, course.descents = SEARCHES, DESCENTS

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from graspmatch.geometry import cloud
+from graspmatch.geometry.cloud import narrowest_width
 from graspmatch.geometry.se3 import rotation_exp
 
 
@@ -207,3 +208,11 @@ def test_a_flat_sheet_faces_up(rng):
 def test_few_points_get_unit_normals(n, rng):
     points = rng.normal(size=(n, 3))
     assert np.allclose(np.linalg.norm(normals_of(points), axis=1), 1)
+
+
+def test_narrowest_width_of_a_box_is_its_shortest_edge_whatever_way_it_is_turned():
+    rng = np.random.default_rng(3)
+    corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * [0.05, 0.1, 0.2]
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    assert narrowest_width(corners @ turn.T) == pytest.approx(0.05)
+    assert narrowest_width(corners[corners[:, 0] > 0]) == pytest.approx(0.0, abs=1e-9)

@@ -23,7 +23,7 @@ from graspmatch.planner.avoid import keep_free, wider_preshapes
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.close import contact_joints, first_crossing
 from graspmatch.planner.match import annealing, batch_share, match, prepare
-from graspmatch.planner.plan import advice, plan
+from graspmatch.planner.plan import UNSURE, advice, plan
 from graspmatch.planner.rank import rank
 from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.tally import Tally
@@ -319,7 +319,22 @@ def test_plate_flat_on_the_table_is_explained(toy):
 def test_advice_names_the_opening_where_the_object_does_not_fit(toy):
     tally = Tally(10)
     tally.keep(np.zeros(9, dtype=bool), "in collision with object or obstacles on the way in")
-    assert "toy opens 60 mm" in advice(tally, toy)
+    assert "toy opens 60 mm" in advice(tally, box_scene(), toy)
+
+
+def test_advice_tells_how_wide_an_object_is_that_fits_no_way(toy):
+    text = advice(Tally(10), box_scene(size=(0.1, 0.12, 0.14)), toy)
+    assert "at least 100 mm wide" in text
+    assert "toy opens 60 mm" in text
+
+
+def test_what_is_more_likely_to_fail_is_no_grasp_unless_it_is_asked_for(toy):
+    scene, every = box_scene(), replace(SMALL, ranking=RankingConfig(count=100, least_confidence=0.0))
+    grasps = plan(scene, toy, every)
+    likely = plan(scene, toy, replace(every, ranking=RankingConfig(count=100, least_confidence=0.9)))
+    assert 0 < len(likely) < len(grasps)
+    assert likely.score.min() >= 0.9 > grasps.score.min()
+    assert likely.tally[UNSURE] > 0
 
 
 def test_tally_accounts_for_every_candidate(toy):

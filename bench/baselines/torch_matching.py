@@ -86,7 +86,7 @@ def torch_plan(scene: Scene, gripper: Gripper, seed: int, *, device: str = "cpu"
         source=scene.source,
         seconds=watch.seconds,
     )
-    return grasp_set(graded, gripper, tally, provenance)
+    return grasp_set(graded, scene, gripper, tally, provenance)
 
 
 @dataclass(frozen=True)

@@ -177,6 +177,8 @@ class RankingConfig:
 
     count: int = 20
     """At most so many."""
+    least_confidence: float = 0.5
+    """What is more likely to fail than to hold is no grasp; 0 gives all."""
     distinct_distance: float = 0.01
     """Grasps nearer than this [m] ..."""
     distinct_angle: float = 0.26
@@ -326,6 +328,7 @@ def check(config: PlannerConfig) -> None:
         ("refining.step", config.refining.step, 0, 0.1),
         ("refining.angle", config.refining.angle, 0, 2),
         ("ranking.count", config.ranking.count, 1, 1e6),
+        ("ranking.least_confidence", config.ranking.least_confidence, 0, 1),
         ("ranking.distinct_distance", config.ranking.distinct_distance, 0, 10),
         ("ranking.distinct_angle", config.ranking.distinct_angle, 0, 7),
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
+from scipy.spatial import ConvexHull, QhullError
 
 Array = np.ndarray
 
@@ -177,3 +178,13 @@ def _spread_signs(tree, part: Int[Array, "n"], normals: Float[Array, "n 3"]) -> 
 
 def _dot(a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, "n"]:
     return np.einsum("ni,ni->n", a, b)
+
+
+def narrowest_width(points: Float[np.ndarray, "n 3"]) -> float:
+    """Distance of the two parallel planes nearest to one another with all points between them [m], one of them on a
+    face of the convex hull; zero for points in a plane."""
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return 0.0
+    return float(np.ptp(points[hull.vertices] @ hull.equations[:, :3].T, axis=0).min())

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from graspmatch.config import PlannerConfig, check
 from graspmatch.geometry import se3
+from graspmatch.geometry.cloud import narrowest_width
 from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Graded
@@ -72,6 +73,8 @@ def plan(
     graded = refine(graded, judge)
     watch.lap("refine")
     graded = confirm(graded, judge)
+    sure = graded.confidence >= config.ranking.least_confidence
+    graded = graded.select(tally.keep(sure, UNSURE))
     watch.lap("confirm")
     order = rank(graded, graded.confidence, config.ranking, tally, "ranked lower than asked for")
     graded = stopped(graded.select(order), judge.target, gripper, config.grip, device)
@@ -86,11 +89,12 @@ def plan(
         source=scene.source,
         seconds=watch.seconds,
     )
-    return grasp_set(graded, gripper, tally, provenance)
+    return grasp_set(graded, scene, gripper, tally, provenance)
 
 
 def grasp_set(
     graded: Graded,
+    scene: Scene,
     gripper: Gripper,
     tally: Tally,
     provenance: Provenance,
@@ -114,12 +118,21 @@ def grasp_set(
         fingers_touching=np.sum(graded.closing_fraction <= 1, axis=-1),
         tally=tally.counts,
         provenance=provenance,
-        advice="" if len(graded) else advice(tally, gripper),
+        advice="" if len(graded) else advice(tally, scene, gripper),
     )
 
 
-def advice(tally: Tally, gripper: Gripper) -> str:
-    """What would help, by the reason that dropped most candidates."""
+UNSURE = "more likely to fail than to hold"
+
+
+def advice(tally: Tally, scene: Scene, gripper: Gripper) -> str:
+    """What would help: that the object is too wide, if it is, else by the reason that dropped most candidates."""
+    width = narrowest_width(scene.target.points)
+    if width > gripper.opening:
+        return (
+            f"The object is at least {1000 * width:.0f} mm wide in every direction; {gripper.name} opens "
+            f"{1000 * gripper.opening:.0f} mm wide and finds no part of it to hold."
+        )
     reasons = {reason: count for reason, count in tally.counts.items() if reason != "candidates"}
     worst = max(reasons, key=lambda reason: reasons[reason], default="")
     if not reasons.get(worst):
@@ -131,5 +144,6 @@ def advice(tally: Tally, gripper: Gripper) -> str:
         ),
         "fingers that close on nothing": "The fingers do not reach the object: is its size in metres?",
         "fingers stopped by the table or an obstacle": "The fingers meet the table or an obstacle before the object.",
+        UNSURE: "The object slips out of the fingers; ranking.least_confidence = 0 gives the grasps all the same.",
     }
     return hints.get(worst, "")

@@ -20,6 +20,7 @@ from graspmatch.apps.bench.objects import ObjectSource
 from graspmatch.config import LiftConfig, PlannerConfig
 from graspmatch.errors import GraspmatchError
 from graspmatch.geometry import se3
+from graspmatch.geometry.cloud import narrowest_width
 from graspmatch.geometry.mesh import transformed
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspSet, Gripper
@@ -30,6 +31,7 @@ Planner = Callable[[Scene, Gripper, int], GraspSet]
 
 NO_GRASP = "no grasp found"
 TOPPLES = "the object does not stand"
+DOES_NOT_FIT = "no grasp found: wider than the hand opens, every way"
 SPREAD = 0.05
 """Objects are put down at most this far from the origin along each axis [m]."""
 
@@ -83,7 +85,7 @@ class Trial:
     @property
     def counts(self) -> bool:
         """Whether the trial says something of the planner."""
-        return self.reason != TOPPLES
+        return self.reason not in (TOPPLES, DOES_NOT_FIT)
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,8 @@ def run_trial(job: Job) -> Trial:
         grasps, reason = None, f"refused: {refusal}"
     planned = time.perf_counter() - begin
     if not grasps:
+        if reason == NO_GRASP and narrowest_width(settled.target.mesh.vertices) > gripper.opening:
+            reason = DOES_NOT_FIT
         return Trial(name, job.trial, False, reason, planned, 0.0, 0, "", None, 0.0, 0.0)
     verdict = try_grasp(world, _displaced(grasps, error), 0, T_world_object, job.config.lift)
     preshape = int(grasps.preshape[0])

@@ -82,15 +82,15 @@ def camera_at(elevation: float, distance: float, *, target: tuple[float, float, 
     forward = np.array([0.0, np.cos(angle), -np.sin(angle)])
     right = np.array([1.0, 0.0, 0.0])
     R = np.stack([right, np.cross(forward, right), forward], axis=-1)
-    return Camera(K, from_parts(R, np.array(target) - distance * forward), is_placed=True)
+    return Camera(K, from_parts(R, np.array(target) - distance * forward))
 
 
 def render(setting: Setting) -> tuple[Array, Array]:
     """True depth [m], 0 for nothing; and the index of the thing that each pixel sees, -1 for none of them."""
     of = setting.camera
     x, y = pixel_rays(of, SHAPE[1], SHAPE[0])
-    rays = np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float64) @ of.T_world_camera[:3, :3].T
-    origin = of.T_world_camera[:3, 3]
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float64) @ of.pose[:3, :3].T
+    origin = of.pose[:3, 3]
     layers = [thing.distances(origin, rays) for thing in setting.things]
     layers.append(_level(0.0, origin, rays, setting.table))
     if setting.floor is not None:

@@ -29,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Image.fromarray(np.round(1000 * depth).astype(np.uint16)).save(folder / "depth.png")
     Image.fromarray(np.where(ids == 1, 255, 0).astype(np.uint8)).save(folder / "mask.png")
     (folder / "k.yaml").write_text(f"width: 640\nheight: 480\nk: {K.ravel().tolist()}\n")
-    np.savetxt(folder / "pose.txt", SETTING.camera.T_world_camera)
+    np.savetxt(folder / "pose.txt", SETTING.camera.pose)
     np.savez(folder / "capture.npz", depth=depth, K=K)
     points = np.where(depth > 0, depth, np.nan)[..., None] * np.dstack(
         [*np.meshgrid((np.arange(640) - K[0, 2]) / K[0, 0], (np.arange(480) - K[1, 2]) / K[1, 1]), np.ones(depth.shape)]
@@ -59,14 +59,14 @@ WAYS = {
 @pytest.mark.parametrize("name", list(WAYS))
 def test_every_way_leads_to_the_same_object(name: str, folder: Path) -> None:
     scene = scene_of(folder, *WAYS[name])
-    T = SETTING.camera.T_world_camera
+    T = SETTING.camera.pose
     centre_world = T[:3, :3] @ scene.centre_of_mass + T[:3, 3]
     np.testing.assert_allclose(centre_world, [0.1, 0.0, 0.07], atol=0.02)
     assert scene.table is not None
 
 
 def test_a_pose_makes_the_world(folder: Path) -> None:
-    T = SETTING.camera.T_world_camera
+    T = SETTING.camera.pose
     numbers = ",".join(str(value) for value in (*T[:3, 3], *quaternion_from_matrix(T[:3, :3])))
     for pose in (str(folder / "pose.txt"), numbers):
         scene = scene_of(folder, "depth.png", "--intrinsics", "k.yaml", f"--camera-pose={pose}", "--mask", "mask.png")

@@ -17,8 +17,8 @@ from graspmatch.scene.scene import Scene
 Array = np.ndarray
 
 SETTING = Setting((Box(-0.1, 0.05, (0.1, 0.14, 0.12), 0.4), Cylinder(0.12, 0.0, 0.035, 0.11)))
-UP = SETTING.camera.T_world_camera[2, :3]
-HEIGHT = float(SETTING.camera.T_world_camera[2, 3])
+UP = SETTING.camera.pose[2, :3]
+HEIGHT = float(SETTING.camera.pose[2, 3])
 TOLERANCE = 0.002
 """Median error of the depth after the correction [m], noise of 0.7 mm in it; a scale error of 3 % is 20 mm here."""
 
@@ -100,7 +100,7 @@ def test_without_the_correction_the_object_is_elsewhere() -> None:
 
 def pixel_of(point_world: Array) -> tuple[float, float]:
     """Column and row that see a point."""
-    T = np.linalg.inv(SETTING.camera.T_world_camera)
+    T = np.linalg.inv(SETTING.camera.pose)
     x, y, z = K @ (T[:3, :3] @ point_world + T[:3, 3])
     return float(x / z), float(y / z)
 
@@ -112,4 +112,4 @@ def test_a_height_without_a_pose_is_refused() -> None:
 
 
 def test_the_camera_of_these_tests_stands_where_it_looks_from() -> None:
-    assert camera_at(45, 0.7).T_world_camera[2, 3] == pytest.approx(0.03 + 0.7 * np.sin(np.pi / 4))
+    assert camera_at(45, 0.7).pose[2, 3] == pytest.approx(0.03 + 0.7 * np.sin(np.pi / 4))

@@ -71,7 +71,7 @@ def test_every_thing_is_found_and_nothing_else(name: str, is_placed: bool) -> No
 def test_the_table_is_where_it_is(name: str, is_placed: bool) -> None:
     view, _ = view_of(SETTINGS[name], is_placed=is_placed)
     table = segment(view).table
-    T = SETTINGS[name].camera.T_world_camera
+    T = SETTINGS[name].camera.pose
     assert table is not None
     assert np.degrees(np.arccos(table.normal @ T[2, :3])) < 0.5
     assert table.offset == pytest.approx(-T[2, 3], abs=0.003)
@@ -151,7 +151,7 @@ def test_a_scene_is_in_the_world_of_the_camera_pose() -> None:
     np.testing.assert_allclose(scene.table.normal, [0, 0, 1], atol=0.01)
     assert scene.table.offset == pytest.approx(0, abs=0.003)
     assert scene.sensor_origin is not None
-    np.testing.assert_allclose(scene.sensor_origin, THREE.camera.T_world_camera[:3, 3])
+    np.testing.assert_allclose(scene.sensor_origin, THREE.camera.pose[:3, 3])
     from_axis = np.hypot(*(scene.target.points[:, :2] - [CAN.x, CAN.y]).T)
     is_side = scene.target.points[:, 2] < 0.11
     assert np.median(np.abs(from_axis[is_side] - CAN.radius)) < 0.0015
@@ -177,7 +177,7 @@ def test_moving_the_camera_frame_moves_the_scene() -> None:
     depth = noisy(render(THREE)[0], np.random.default_rng(0))
     T = from_parts(rotation_exp(np.array([0.0, 0.0, 1.0])), np.array([2.0, -1.0, 0.3]))
     here = Scene.from_depth(depth, THREE.camera, object=0)
-    there = Scene.from_depth(depth, THREE.camera.placed(T @ THREE.camera.T_world_camera), object=0)
+    there = Scene.from_depth(depth, THREE.camera.placed(T @ THREE.camera.pose), object=0)
     np.testing.assert_allclose(there.centre_of_mass, apply(T, here.centre_of_mass[None])[0], atol=2e-4)
     assert there.table is not None
     assert there.table.offset == pytest.approx(0.3, abs=0.003)
@@ -240,7 +240,7 @@ def test_a_scene_without_a_plane_is_said() -> None:
 
 def pixel_of(setting: Setting, point_world: Array) -> tuple[float, float]:
     """Column and row that see a point."""
-    T = np.linalg.inv(setting.camera.T_world_camera)
+    T = np.linalg.inv(setting.camera.pose)
     x, y, z = K @ (T[:3, :3] @ point_world + T[:3, 3])
     return float(x / z), float(y / z)
 
@@ -315,7 +315,7 @@ def test_a_cloud_in_a_robot_frame_has_its_table_level(knows_sensor: bool) -> Non
 def test_gravity_alone_tells_a_table_from_a_wall() -> None:
     setting = replace(THREE, wall=0.25, camera=camera_at(12, 0.7))
     depth = noisy(render(setting)[0], np.random.default_rng(0))
-    up_camera = setting.camera.T_world_camera[2, :3]
+    up_camera = setting.camera.pose[2, :3]
     scene = Scene.from_depth(depth, K, up=up_camera, object=0)
     assert scene.table is not None
     assert np.degrees(np.arccos(scene.table.normal @ up_camera)) < 1

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from graspmatch.gripper.load import load_gripper as load_gripper
     from graspmatch.gripper.zoo import known_grippers as known_grippers
     from graspmatch.planner.plan import plan as plan
+    from graspmatch.scene.camera import Camera as Camera
     from graspmatch.scene.scene import Scene as Scene
     from graspmatch.types import GraspSet as GraspSet
     from graspmatch.types import Gripper as Gripper
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 # Where the public names live: each arrives with its first use, so that the import itself loads NumPy only.
 _HOMES = {
+    "Camera": "graspmatch.scene.camera",
     "GraspSet": "graspmatch.types",
     "Gripper": "graspmatch.types",
     "Plane": "graspmatch.types",

@@ -25,23 +25,26 @@ class Camera:
 
     K: Float[Array, "3 3"]
     """Focal lengths and principal point [pixels]."""
-    T_world_camera: Float[Array, "4 4"] = field(default_factory=lambda: np.eye(4))
-    """Where the camera stands; the identity means that the world frame is the camera's."""
+    T_world_camera: Float[Array, "4 4"] | None = None
+    """Where the camera stands, in a world whose z is up; none: the world frame is the camera's."""
     distortion: Float[Array, "k"] = field(default_factory=lambda: np.zeros(0))
     """Coefficients of the lens as ROS and OpenCV order them: k1 k2 p1 p2 [k3 [k4 k5 k6]]."""
     size: tuple[int, int] | None = None
     """Width and height of the images that the intrinsics are for [pixels], where that is known."""
-    is_placed: bool = False
-    """Whether `T_world_camera` was given, so that z is up in the world."""
 
     @property
     def pixel_angle(self) -> float:
         """Angle between neighbouring pixels in the middle of the image [rad]."""
         return float(2 / (self.K[0, 0] + self.K[1, 1]))
 
+    @property
+    def pose(self) -> Float[Array, "4 4"]:
+        """`T_world_camera`, the identity where there is none."""
+        return np.eye(4) if self.T_world_camera is None else self.T_world_camera
+
     def placed(self, T_world_camera: Float[Array, "4 4"]) -> Camera:
         """The same camera, standing elsewhere."""
-        return replace(self, T_world_camera=checked_pose(T_world_camera), is_placed=True)
+        return replace(self, T_world_camera=checked_pose(T_world_camera))
 
 
 def camera(

@@ -54,14 +54,14 @@ class View:
 
 def view_of_depth(image: DepthImage, source: str = "array") -> View:
     """What a depth image saw, in the frame of its camera."""
-    camera = image.camera
+    camera, is_placed = image.camera, image.camera.T_world_camera is not None
     return View(
         image.points.reshape(-1, 3),
         shape=(image.depth.shape[0], image.depth.shape[1]),
         origin=np.zeros(3),
-        up=camera.T_world_camera[2, :3].copy() if camera.is_placed else None,
-        T_world_view=camera.T_world_camera,
-        is_placed=camera.is_placed,
+        up=camera.pose[2, :3].copy() if is_placed else None,
+        T_world_view=camera.pose,
+        is_placed=is_placed,
         pixel_angle=camera.pixel_angle,
         depth=image,
         source=source,

@@ -31,6 +31,7 @@ from graspmatch.gripper.description import content_hash
 from graspmatch.gripper.kinematics import load_hand
 from graspmatch.gripper.load import load_gripper
 from graspmatch.gripper.zoo import card_path
+from graspmatch.planner.avoid import upload_space
 from graspmatch.planner.candidates import Candidates, Closed
 from graspmatch.planner.grade import draw_trials, grade, middling
 from graspmatch.planner.hold import Held, Touchable, hold, touchable
@@ -221,7 +222,8 @@ def with_figures(job: Job, grasps: GraspSet, scene: Scene, gripper: Gripper, rea
     target = touchable(scene, config.points, device)
     closed, planned = closed_again(grasps, target, gripper, job.planner)
     trials = draw_trials(gripper, config, grasps.provenance.seed)
-    graded = grade(closed, grasps.matching_error, grasps.loss, trials, target, gripper, config, device)
+    space = upload_space(scene, gripper, device)
+    graded = grade(closed, grasps.matching_error, grasps.loss, trials, space, target, gripper, config, device)
     if not np.allclose(graded.confidence, grasps.score, atol=1e-4):
         raise GraspmatchError(f"{job.hand} {job.object}: the figures do not give the score of the plan.")
     R_world_gripper = grasps.T_world_gripper[:, :3, :3]

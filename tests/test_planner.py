@@ -173,17 +173,13 @@ def test_gaussian_seeds_have_the_mean_and_spread_asked_for(toy):
 
 
 def test_grasps_hold_the_box_between_the_fingers_and_miss_nothing(toy):
-    """A 30 mm box and a hand that opens 60 mm: the fingers meet it at its sides."""
+    """A 30 mm box and a hand that opens 60 mm: the fingers end at its sides."""
     scene = box_scene()
-    grasps = plan(scene, toy, SMALL)
+    grasps = plan(scene, toy, replace(SMALL, ranking=RankingConfig(least_confidence=0.5)))
     assert len(grasps) > 0, grasps.explain()
-    best_width = []
-    for T, joints in zip(grasps.T_world_gripper, grasps.grasp_joints, strict=True):
-        local = se3.apply(se3.inverse(T), scene.target.points)
-        gap = 0.06 - 2 * joints[0]
-        between = local[(np.abs(local[:, 0]) < 0.01) & (local[:, 2] > 0) & (local[:, 2] < 0.06)]
-        best_width.append(gap - np.ptp(between[:, 1]))
-    assert np.median(np.abs(best_width)) < 0.006  # a node of the coarse fields, and the box turns between the fingers
+    gap = 0.06 - 2 * grasps.grasp_joints[:, 0]  # at the end, the box turned flush where the hand came obliquely
+    assert np.median(np.abs(gap - 0.03)) < 0.003  # a node of the coarse fields
+    assert gap.min() > 0.026
     assert np.all(grasps.fingers_touching == 2)
 
 
@@ -305,7 +301,7 @@ def test_ranking_keeps_the_better_of_two_like_poses(toy):
 
 def test_plate_flat_on_the_table_is_explained(toy):
     plate = box_points((0.2, 0.2, 0.001), [0, 0, 0.0005])
-    grasps = plan(Scene.from_cloud(plate), toy, SMALL)
+    grasps = plan(Scene.from_cloud(plate), toy, replace(SMALL, ranking=RankingConfig(least_confidence=0.5)))
     assert len(grasps) == 0
     assert grasps.T_world_gripper.shape == (0, 4, 4)
     assert grasps.grasp_joints.shape == (0, 1)

@@ -29,7 +29,7 @@ from baselines.torch_problem import (
 from graspmatch.config import MatchingConfig, PlannerConfig
 from graspmatch.geometry.se3 import from_parts
 from graspmatch.kernels.launch import resolve_device, thread_count
-from graspmatch.planner.avoid import keep_free
+from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.close import close_fingers
 from graspmatch.planner.grade import draw_trials, foremost, grade, stopped
@@ -71,7 +71,8 @@ def torch_plan(scene: Scene, gripper: Gripper, seed: int, *, device: str = "cpu"
     final = Candidates(closed.matched_preshape, closed.T_world_gripper)
     error, loss = torch_measure(final, problem, config.matching)
     trials = draw_trials(gripper, config.grip, seed)
-    graded = grade(closed, error, loss, trials, target, gripper, config.grip, device)
+    space = upload_space(scene, gripper, device)
+    graded = grade(closed, error, loss, trials, space, target, gripper, config.grip, device)
     watch.lap("grade")
     order = rank(graded, graded.confidence, config.ranking, tally, "ranked lower than asked for")
     graded = stopped(graded.select(order), target, gripper, config.grip, device)

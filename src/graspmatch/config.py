@@ -54,6 +54,8 @@ class SeedingConfig:
     """Fibonacci points on the full sphere; `quarter` keeps a quarter of them: (100 - 6) / 4 in Table I."""
     above: int = 6
     """Seeds straight above the object, at evenly spread turns of the hand."""
+    batches: int = 3
+    """So many times at most hands are started anew while no grasp is as sure as `refining.enough`."""
     robot_direction: tuple[float, float, float] = (-1.0, 0.0, 0.0)
     """Horizontal direction from the object towards the robot, world frame."""
     gaussians: tuple[PoseGaussian, ...] = ()
@@ -165,6 +167,10 @@ class RefiningConfig:
     """Steps of the search."""
     trials: int = 3
     """Of each grasp in the search."""
+    searches: int = 2
+    """At most so many, the next around the next best, ..."""
+    enough: float = 0.95
+    """... until a grasp is as sure as this."""
     step: float = 0.006
     """First step along each axis [m] ..."""
     angle: float = math.radians(8.0)
@@ -177,8 +183,9 @@ class RankingConfig:
 
     count: int = 20
     """At most so many."""
-    least_confidence: float = 0.5
-    """What is more likely to fail than to hold is no grasp; 0 gives all."""
+    least_confidence: float | None = None
+    """Grasps that are less sure are none. None: 0.5 where a mesh tells the whole surface, so that what is more likely
+    to fail than to hold does not come out; else 0, for fingers close on sides that a camera did not see."""
     distinct_distance: float = 0.01
     """Grasps nearer than this [m] ..."""
     distinct_angle: float = 0.26
@@ -290,6 +297,7 @@ def check(config: PlannerConfig) -> None:
         ("seed", config.seed, 0, math.inf),
         ("seeding.points", seeding.points, 0, 1e6),
         ("seeding.above", seeding.above, 0, 1e6),
+        ("seeding.batches", seeding.batches, 1, 1000),
         ("matching.iterations", matching.iterations, 0, 1e6),
         ("matching.stein_iterations", matching.stein_iterations, 0, 1e6),
         ("matching.learning_rate", matching.learning_rate, 1e-6, 2),
@@ -325,6 +333,8 @@ def check(config: PlannerConfig) -> None:
         ("refining.count", config.refining.count, 0, 1e6),
         ("refining.rounds", config.refining.rounds, 0, 1e3),
         ("refining.trials", config.refining.trials, 1, config.grip.trials),
+        ("refining.searches", config.refining.searches, 1, 1000),
+        ("refining.enough", config.refining.enough, 0, 1),
         ("refining.step", config.refining.step, 0, 0.1),
         ("refining.angle", config.refining.angle, 0, 2),
         ("ranking.count", config.ranking.count, 1, 1e6),

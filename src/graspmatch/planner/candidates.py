@@ -79,6 +79,8 @@ class Graded(Closed):
     standing: Float[Array, "n"]
     """The mean margin as the fingers meet the object, before it turns, for a hand that presses no harder than two
     fingers of one drive."""
+    tries: Int[Array, "n"]
+    """How many trials that were."""
     confidence: Float[Array, "n"]
     """Share of such grasps that hold in simulation."""
 

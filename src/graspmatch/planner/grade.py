@@ -10,6 +10,7 @@ from jaxtyping import Float
 from graspmatch.config import GripConfig, RankingConfig
 from graspmatch.geometry import se3
 from graspmatch.kernels.warp_hold import LOST_MARGIN
+from graspmatch.planner.avoid import Space, point_clearance, table_clearance
 from graspmatch.planner.candidates import Candidates, Closed, Graded
 from graspmatch.planner.close import contact_joints
 from graspmatch.planner.hold import Touchable, hold, most_force
@@ -68,19 +69,22 @@ def grade(
     error: Float[Array, "n"],
     loss: Float[Array, "n"],
     trials: Trials,
+    space: Space,
     target: Touchable,
     gripper: Gripper,
     config: GripConfig,
     device: str,
 ) -> Graded:
-    """What comes of closing the fingers under all trials; error and loss are those of the poses as they are [m2]."""
+    """What comes of closing the fingers under all trials; error and loss are those of the poses as they are [m2]. A
+    displaced hand that meets anything on its way in holds nothing."""
     n, k = len(closed), len(trials)
     displaced = Candidates(
         np.repeat(closed.preshape, k), (closed.T_world_gripper[:, None] @ trials.error).reshape(-1, 4, 4)
     )
     tried = hold(displaced, np.tile(trials.friction, n), target, gripper, config, device)
-    margin = np.where(tried.held, tried.margin, LOST_MARGIN).reshape(n, k).mean(axis=-1)
-    held_share = tried.held.reshape(n, k).mean(axis=-1)
+    held = tried.held & (np.minimum(point_clearance(displaced, space), table_clearance(displaced, space)) > 0)
+    margin = np.where(held, tried.margin, LOST_MARGIN).reshape(n, k).mean(axis=-1)
+    held_share = held.reshape(n, k).mean(axis=-1)
     met = hold(displaced, np.full(n * k, middling(config)), target, gripper, config, device, upright=True)
     standing = np.maximum(met.margin, WORST).reshape(n, k).mean(axis=-1) / strength(gripper)
     return Graded(
@@ -90,17 +94,20 @@ def grade(
         margin=margin,
         held_share=held_share,
         standing=standing,
+        tries=np.full(n, k),
         confidence=confidence(margin, held_share, loss, standing),
     )
 
 
-def pooled(a: Graded, b: Graded, share: float) -> Graded:
-    """The same grasps after the trials of both, of which `a` had this share."""
+def pooled(a: Graded, b: Graded) -> Graded:
+    """The same grasps after the trials of both."""
+    share = a.tries / (a.tries + b.tries)
     margin = share * a.margin + (1 - share) * b.margin
     held_share = share * a.held_share + (1 - share) * b.held_share
     standing = share * a.standing + (1 - share) * b.standing
     sure = confidence(margin, held_share, a.final_loss, standing)
-    return replace(a, margin=margin, held_share=held_share, standing=standing, confidence=sure)
+    tries = a.tries + b.tries
+    return replace(a, margin=margin, held_share=held_share, standing=standing, tries=tries, confidence=sure)
 
 
 def stopped(graded: Graded, target: Touchable, gripper: Gripper, config: GripConfig, device: str) -> Graded:

@@ -9,17 +9,17 @@ from importlib.metadata import version
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.config import PlannerConfig, check
+from graspmatch.config import PlannerConfig, RankingConfig, check
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import narrowest_width
 from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.avoid import keep_free, upload_space
-from graspmatch.planner.candidates import Graded
+from graspmatch.planner.candidates import Candidates, Graded
 from graspmatch.planner.close import close_fingers
 from graspmatch.planner.grade import foremost, stopped
 from graspmatch.planner.match import match, prepare
 from graspmatch.planner.rank import rank
-from graspmatch.planner.refine import confirm, judge_of, refine
+from graspmatch.planner.refine import Judge, joined, judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.stopwatch import Stopwatch
 from graspmatch.planner.tally import Tally
@@ -48,34 +48,25 @@ def plan(
         )
     device = resolve_device(config.device)
     rng = np.random.default_rng(config.seed)
-    watch = Stopwatch()
-    matching = config.matching
-    if starts_world_gripper is None:
-        starts = seed_poses(scene, gripper, config.seeding, rng)
-    else:  # what another planner chose is refined, not scattered by the search for other orientations
-        starts, matching = pose_seeds(starts_world_gripper, gripper), replace(matching, stein_iterations=0)
-    tally = Tally(len(starts))
-    problem = prepare(scene, gripper, matching, rng, device)
+    watch, tally = Stopwatch(), Tally(0)
+    if starts_world_gripper is not None:  # what another planner chose is not scattered by the search for orientations
+        config = replace(config, matching=replace(config.matching, stein_iterations=0))
+    problem = prepare(scene, gripper, config.matching, rng, device)
     space = upload_space(scene, gripper, device)
-    watch.lap("prepare")
-    matched = match(starts, problem, matching, rng)  # Algorithm 1 of the paper
-    watch.lap("match")
-    free = keep_free(matched, scene, gripper, config.collision, device, tally, space)  # hand and approach sweep
-    watch.lap("avoid")
-    closed = close_fingers(free, scene, gripper, config.closing, device, tally, space)  # contacts and joint values
-    watch.lap("close")
     judge = judge_of(scene, gripper, space, problem, config, device)
-    count = max(config.grip.finalists, config.ranking.count)
-    closed = foremost(closed, count, judge.target, gripper, config.grip, device, tally)
-    watch.lap("screen")
-    graded = judge.grade(closed, judge.first)  # where the fingers push the object, what they hold there, how surely
-    watch.lap("grade")
-    graded = refine(graded, judge)
-    watch.lap("refine")
-    graded = confirm(graded, judge)
-    sure = graded.confidence >= config.ranking.least_confidence
-    graded = graded.select(tally.keep(sure, UNSURE))
-    watch.lap("confirm")
+    watch.lap("prepare")
+    graded = None
+    for _ in range(config.seeding.batches if starts_world_gripper is None else 1):
+        if starts_world_gripper is None:
+            starts = seed_poses(scene, gripper, config.seeding, rng)
+        else:
+            starts = pose_seeds(starts_world_gripper, gripper)
+        found = candidates_from(starts, judge, tally, watch, rng)
+        graded = found if graded is None else joined(graded, found)
+        if graded.confidence.max(initial=0.0) >= config.refining.enough:
+            break
+    assert graded is not None  # there is one batch at least
+    graded = graded.select(tally.keep(graded.confidence >= least_confidence(scene, config.ranking), UNSURE))
     order = rank(graded, graded.confidence, config.ranking, tally, "ranked lower than asked for")
     graded = stopped(graded.select(order), judge.target, gripper, config.grip, device)
     watch.lap("rank")
@@ -90,6 +81,28 @@ def plan(
         seconds=watch.seconds,
     )
     return grasp_set(graded, scene, gripper, tally, provenance)
+
+
+def candidates_from(
+    starts: Candidates, judge: Judge, tally: Tally, watch: Stopwatch, rng: np.random.Generator
+) -> Graded:
+    """All that becomes of some starts, graded and refined."""
+    scene, gripper, config, device, space = judge.scene, judge.gripper, judge.config, judge.device, judge.space
+    tally.add("candidates", len(starts))
+    matched = match(starts, judge.problem, config.matching, rng)  # Algorithm 1 of the paper
+    watch.lap("match")
+    free = keep_free(matched, scene, gripper, config.collision, device, tally, space)  # hand and approach sweep
+    watch.lap("avoid")
+    closed = close_fingers(free, scene, gripper, config.closing, device, tally, space)  # contacts and joint values
+    watch.lap("close")
+    count = max(config.grip.finalists, config.ranking.count)
+    closed = foremost(closed, count, judge.target, gripper, config.grip, device, tally)
+    watch.lap("screen")
+    graded = judge.grade(closed, judge.first)  # where the fingers push the object, what they hold there, how surely
+    watch.lap("grade")
+    graded = refine(graded, judge)
+    watch.lap("refine")
+    return graded
 
 
 def grasp_set(
@@ -120,6 +133,13 @@ def grasp_set(
         provenance=provenance,
         advice="" if len(graded) else advice(tally, scene, gripper),
     )
+
+
+def least_confidence(scene: Scene, config: RankingConfig) -> float:
+    """How sure a grasp must be to come out."""
+    if config.least_confidence is not None:
+        return config.least_confidence
+    return 0.5 if scene.mesh is not None else 0.0
 
 
 UNSURE = "more likely to fail than to hold"

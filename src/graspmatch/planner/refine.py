@@ -42,7 +42,9 @@ class Judge:
         """Loss of grasps, and how sure they are after some of the trials."""
         error, loss = measure(Candidates(closed.matched_preshape, closed.T_world_gripper), self.problem)
         config = self.config.grip
-        return grade(closed, error, loss, self.trials[trials], self.target, self.gripper, config, self.device)
+        return grade(
+            closed, error, loss, self.trials[trials], self.space, self.target, self.gripper, config, self.device
+        )
 
     @property
     def first(self) -> slice:
@@ -59,15 +61,29 @@ def judge_of(
 
 
 def refine(graded: Graded, judge: Judge) -> Graded:
-    """All candidates, the best replaced by the surest of their neighbours that are free and close on the object.
+    """Confirm the surest and search around them; around the next as well, while none of them is sure enough."""
+    config = judge.config.refining
+    graded = confirm(graded, judge)
+    searched = np.zeros(len(graded), dtype=bool)
+    for _ in range(config.searches):
+        order = np.argsort(-graded.confidence, kind="stable")
+        best = order[~searched[order]][: config.count]
+        if not len(best) or not config.rounds:
+            break
+        searched[best] = True
+        graded = confirm(search(graded, best, judge), judge)
+        if graded.confidence.max() >= config.enough:
+            break
+    return graded
+
+
+def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
+    """All candidates, some replaced by the surest of their neighbours that are free and close on the object.
 
     Coordinate search: a step both ways along and about each axis of the hand through its tool centre point; steps are
     halved where none of them helps. Every pose is judged under the same trials.
     """
     config = judge.config.refining
-    best = np.argsort(-graded.confidence, kind="stable")[: config.count]
-    if not len(best) or not config.rounds:
-        return graded
     few = slice(config.trials)
     current, scale = judge.grade(graded.select(best).as_closed(), few), np.ones(len(best))
     for _ in range(config.rounds):
@@ -81,7 +97,7 @@ def refine(graded: Graded, judge: Judge) -> Graded:
         found = judge.grade(Closed(**vars(tried), closing_fraction=fraction, grasp_joints=joints), few)
         current, improved = surest(current, found, origin)
         scale = np.where(improved, scale, scale / 2)
-    refined, _ = surest(graded.select(best), judge.grade(current.as_closed(), judge.first), np.arange(len(best)))
+    refined, _ = surest(graded.select(best), judge.grade(current.as_closed(), slice(None)), np.arange(len(best)))
     return put(graded, best, refined)
 
 
@@ -91,16 +107,14 @@ def confirm(graded: Graded, judge: Judge) -> Graded:
     Those that come to lead as others fall behind are tried as often, until the leaders are the same.
     """
     config = judge.config.grip
-    share, others = config.first_trials / config.trials, slice(config.first_trials, config.trials)
-    confirmed = np.zeros(len(graded), dtype=bool)
-    while share < 1:
+    others = slice(config.first_trials, config.trials)
+    while True:
         leaders = np.argsort(-graded.confidence, kind="stable")[: config.leaders]
-        todo = np.sort(leaders[~confirmed[leaders]])
+        todo = np.sort(leaders[graded.tries[leaders] < config.trials])
         if not len(todo):
             break
         chosen = graded.select(todo)
-        graded = put(graded, todo, pooled(chosen, judge.grade(chosen.as_closed(), others), share))
-        confirmed[todo] = True
+        graded = put(graded, todo, pooled(chosen, judge.grade(chosen.as_closed(), others)))
     return graded
 
 

@@ -9,7 +9,7 @@ from importlib.metadata import version
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.config import PlannerConfig, RankingConfig, check
+from graspmatch.config import CollisionConfig, PlannerConfig, RankingConfig, check
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import narrowest_width
 from graspmatch.kernels.launch import resolve_device
@@ -145,10 +145,15 @@ def least_confidence(scene: Scene, config: RankingConfig) -> float:
 UNSURE = "more likely to fail than to hold"
 
 
+def is_too_wide(width: float, gripper: Gripper) -> bool:
+    """Whether a width leaves no room beside it between the open fingers [m]."""
+    return width > gripper.opening - 2 * CollisionConfig().clearance
+
+
 def advice(tally: Tally, scene: Scene, gripper: Gripper) -> str:
     """What would help: that the object is too wide, if it is, else by the reason that dropped most candidates."""
     width = narrowest_width(scene.target.points)
-    if width > gripper.opening:
+    if is_too_wide(width, gripper):
         return (
             f"The object is at least {1000 * width:.0f} mm wide in every direction; {gripper.name} opens "
             f"{1000 * gripper.opening:.0f} mm wide and finds no part of it to hold."

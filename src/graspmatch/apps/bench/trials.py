@@ -121,6 +121,7 @@ def run_trials(jobs: Iterable[Job], *, processes: int) -> Iterator[Trial]:
 
 def run_trial(job: Job) -> Trial:
     """Settle, place, plan, lift."""
+    from graspmatch.planner.plan import is_too_wide
     from graspmatch.simulate.judge import try_grasp
 
     settled, world, gripper = stage(job.source, job.gripper, job.description, job.config.lift)
@@ -139,7 +140,7 @@ def run_trial(job: Job) -> Trial:
         grasps, reason = None, f"refused: {refusal}"
     planned = time.perf_counter() - begin
     if not grasps:
-        if reason == NO_GRASP and narrowest_width(settled.target.mesh.vertices) > gripper.opening:
+        if reason == NO_GRASP and is_too_wide(narrowest_width(settled.target.mesh.vertices), gripper):
             reason = DOES_NOT_FIT
         return Trial(name, job.trial, False, reason, planned, 0.0, 0, "", None, 0.0, 0.0)
     verdict = try_grasp(world, _displaced(grasps, error), 0, T_world_object, job.config.lift)

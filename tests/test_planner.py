@@ -19,7 +19,7 @@ from graspmatch.config import (
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid, interpolate
 from graspmatch.gripper.load import load_gripper
-from graspmatch.planner.avoid import keep_free, wider_preshapes
+from graspmatch.planner.avoid import keep_free, upload_space, wider_preshapes
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.close import contact_joints, first_crossing
 from graspmatch.planner.match import annealing, batch_share, match, prepare
@@ -243,7 +243,7 @@ def test_another_seed_gives_other_grasps(toy):
 def free_mask(scene, toy, poses, config):
     n = len(poses)
     matched = Matched(np.arange(n) % 3, poses, np.zeros(n), np.arange(n, dtype=float), np.ones(n, dtype=bool))
-    free = keep_free(matched, scene, toy, config, "cpu", Tally(n))
+    free = keep_free(matched, upload_space(scene, toy, "cpu"), config, Tally(n))
     return np.isin(np.arange(n), free.loss.astype(int)), free
 
 

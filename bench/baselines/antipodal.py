@@ -88,7 +88,7 @@ def antipodal(scene: Scene, gripper: Gripper, seed: int) -> GraspSet:
         pairs = opposite_points(scene.target, jaws.opening[-1] - 2 * CLEARANCE, rng)
         tally.counts[NO_OPPOSITE] = tally.counts.get(NO_OPPOSITE, 0) + BATCH - len(pairs.width)
         free = free_grasps(pairs, jaws, space, rng, tally)
-        found.append(close_fingers(free, scene, gripper, ClosingConfig(), device, tally))
+        found.append(close_fingers(free, space, ClosingConfig(), tally))
     grasps = joined(found)
     spare = max(len(grasps) - ENOUGH, 0)
     grasps = grasps.select(np.arange(len(grasps) - spare))

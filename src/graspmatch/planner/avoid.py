@@ -26,22 +26,12 @@ COARSE_POINTS = 2000
 """Points that a posture is chosen with, before the whole cloud has its say."""
 
 
-def keep_free(
-    matched: Matched,
-    scene: Scene,
-    gripper: Gripper,
-    config: CollisionConfig,
-    device: str,
-    tally: Tally,
-    space: Space | None = None,
-) -> Free:
+def keep_free(matched: Matched, space: Space, config: CollisionConfig, tally: Tally) -> Free:
     """Matches opened and backed off along their approach until hand and way in are clear, less those that never are.
 
     Matching leaves the inner surface on the object, scan noise and all. A wider preshape at the same pose makes room
     between the fingers, a few millimetres back make room for the palm, and a match that went too deep gets shallower.
-    `space` is the scene where it has been uploaded before.
     """
-    space = space or upload_space(scene, gripper, device)
     posture, from_table, needed = choose_posture(matched, space, config)
     is_above = tally.keep(from_table <= config.largest_retreat, "in collision with the table")
     matched, posture, needed = matched.select(is_above), posture[is_above], needed[is_above]

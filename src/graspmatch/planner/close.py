@@ -13,47 +13,32 @@ from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_avoid import first_contact
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_fields import NEVER
-from graspmatch.planner.avoid import Space, upload_space
+from graspmatch.planner.avoid import Space
 from graspmatch.planner.candidates import Closed, Free
 from graspmatch.planner.tally import Tally
 from graspmatch.planner.upload import ARRIVAL_STEP, DeviceHand, pose_arrays
-from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Plane
 
 
-def close_fingers(
-    free: Free,
-    scene: Scene,
-    gripper: Gripper,
-    config: ClosingConfig,
-    device: str,
-    tally: Tally,
-    space: Space | None = None,
-) -> Closed:
+def close_fingers(free: Free, space: Space, config: ClosingConfig, tally: Tally) -> Closed:
     """Candidates whose fingers meet the target before anything else, with the joint values at first contact."""
-    keep, fraction = meet_object(free, scene, gripper, config, device, tally, space)
+    keep, fraction = meet_object(free, space, config, tally)
     free, fraction = free.select(keep), fraction[keep]
     return Closed(
-        **vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free.preshape, fraction, gripper)
+        **vars(free), closing_fraction=fraction, grasp_joints=contact_joints(free.preshape, fraction, space.gripper)
     )
 
 
 def meet_object(
-    free: Free,
-    scene: Scene,
-    gripper: Gripper,
-    config: ClosingConfig,
-    device: str,
-    tally: Tally,
-    space: Space | None = None,
+    free: Free, space: Space, config: ClosingConfig, tally: Tally
 ) -> tuple[Bool[np.ndarray, "n"], Float[np.ndarray, "n f"]]:
     """Whether the fingers meet the target before anything else, and the closing fraction at which each does."""
-    space = space or upload_space(scene, gripper, device)
     fraction, blocked = contact_fractions(free, space)
-    if scene.table is not None:
-        blocked = np.minimum(blocked, table_fractions(free, scene.table, gripper, space.hand))
+    if space.table is not None:
+        blocked = np.minimum(blocked, table_fractions(free, space.table, space.gripper, space.hand))
     reaches = tally.keep(
-        ~np.any(blocked <= stop_fractions(fraction, gripper), axis=-1), "fingers stopped by the table or an obstacle"
+        ~np.any(blocked <= stop_fractions(fraction, space.gripper), axis=-1),
+        "fingers stopped by the table or an obstacle",
     )
     touching = np.sum(fraction <= 1, axis=-1)
     keep = reaches & tally.keep(touching >= config.fewest_fingers, "fingers that close on nothing", among=reaches)

@@ -87,16 +87,16 @@ def candidates_from(
     starts: Candidates, judge: Judge, tally: Tally, watch: Stopwatch, rng: np.random.Generator
 ) -> Graded:
     """All that becomes of some starts, graded and refined."""
-    scene, gripper, config, device, space = judge.scene, judge.gripper, judge.config, judge.device, judge.space
+    gripper, config, space = judge.gripper, judge.config, judge.space
     tally.add("candidates", len(starts))
     matched = match(starts, judge.problem, config.matching, rng)  # Algorithm 1 of the paper
     watch.lap("match")
-    free = keep_free(matched, scene, gripper, config.collision, device, tally, space)  # hand and approach sweep
+    free = keep_free(matched, space, config.collision, tally)  # hand and approach sweep
     watch.lap("avoid")
-    closed = close_fingers(free, scene, gripper, config.closing, device, tally, space)  # contacts and joint values
+    closed = close_fingers(free, space, config.closing, tally)  # contacts and joint values
     watch.lap("close")
     count = max(config.grip.finalists, config.ranking.count)
-    closed = foremost(closed, count, judge.target, gripper, config.grip, device, tally)
+    closed = foremost(closed, count, judge.target, gripper, config.grip, judge.device, tally)
     watch.lap("screen")
     graded = judge.grade(closed, judge.first)  # where the fingers push the object, what they hold there, how surely
     watch.lap("grade")

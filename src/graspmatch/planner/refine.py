@@ -27,9 +27,8 @@ CLEAR_ENOUGH = 0.99
 
 @dataclass(frozen=True)
 class Judge:
-    """All that is needed to judge a pose: scene, hand, and what was made of them."""
+    """All that is needed to judge a pose: the hand, and what was made of the scene."""
 
-    scene: Scene
     gripper: Gripper
     space: Space
     problem: Problem
@@ -57,7 +56,7 @@ def judge_of(
 ) -> Judge:
     """What judging needs, made once for a plan."""
     target = touchable(scene, config.grip.points, device)
-    return Judge(scene, gripper, space, problem, target, draw_trials(gripper, config.grip, config.seed), config, device)
+    return Judge(gripper, space, problem, target, draw_trials(gripper, config.grip, config.seed), config, device)
 
 
 def refine(graded: Graded, judge: Judge) -> Graded:
@@ -89,9 +88,7 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
     for _ in range(config.rounds):
         tried, origin = neighbours(current, scale, judge)
         tried, origin = free_neighbours(tried, origin, judge)
-        keep, fraction = meet_object(
-            tried, judge.scene, judge.gripper, judge.config.closing, judge.device, Tally(len(tried)), judge.space
-        )
+        keep, fraction = meet_object(tried, judge.space, judge.config.closing, Tally(len(tried)))
         tried, origin, fraction = tried.select(keep), origin[keep], fraction[keep]
         joints = contact_joints(tried.preshape, fraction, judge.gripper)
         found = judge.grade(Closed(**vars(tried), closing_fraction=fraction, grasp_joints=joints), few)

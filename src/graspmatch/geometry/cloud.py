@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
-from scipy.spatial import ConvexHull, QhullError
 
 Array = np.ndarray
 
@@ -183,6 +182,8 @@ def _dot(a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, "n"]:
 def narrowest_width(points: Float[np.ndarray, "n 3"]) -> float:
     """Distance of the two parallel planes nearest to one another with all points between them [m], one of them on a
     face of the convex hull; zero for points in a plane."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         hull = ConvexHull(points)
     except QhullError:

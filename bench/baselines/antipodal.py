@@ -18,7 +18,7 @@ from graspmatch.config import ClosingConfig, CollisionConfig
 from graspmatch.formats.graspnet import jaw
 from graspmatch.geometry import se3
 from graspmatch.kernels.launch import resolve_device
-from graspmatch.planner.avoid import Space, point_clearance, table_clearance, upload_space
+from graspmatch.planner.avoid import Space, point_clearance, table_clearance_of_way, upload_space
 from graspmatch.planner.candidates import Candidates, Closed, Free
 from graspmatch.planner.close import close_fingers
 from graspmatch.planner.tally import Tally
@@ -202,9 +202,7 @@ def free_grasps(pairs: Pairs, jaws: Jaws, space: Space, rng: np.random.Generator
 
 def clearances(candidates: Candidates, space: Space) -> tuple[Float[np.ndarray, "n"], np.ndarray]:
     """Distance of hand and way in to everything [m], minus infinity for what collides; and what clears the table."""
-    back = se3.translation(-space.gripper.approach_distance * space.gripper.approach)
-    start = Candidates(candidates.preshape, candidates.T_world_gripper @ back)
-    clearance = np.minimum(table_clearance(candidates, space), table_clearance(start, space))
+    clearance = table_clearance_of_way(candidates, space)
     is_above = clearance >= CLEARANCE
     # Most of what collides has one of a few points inside the hand; only the rest needs all of them.
     promising = np.flatnonzero(is_above)

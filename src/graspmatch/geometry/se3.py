@@ -45,6 +45,11 @@ def translation(offset: Float[Array, "*b 3"]) -> Float[Array, "*b 4 4"]:
     return from_parts(np.eye(3), np.asarray(offset, dtype=float))
 
 
+def about(point: Float[Array, "3"], T: Float[Array, "*b 4 4"]) -> Float[Array, "*b 4 4"]:
+    """The motions T with their axes through a point in place of the origin."""
+    return translation(point) @ T @ translation(-point)
+
+
 def matrix_from_quaternion(wxyz: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
     """Rotation matrix of a unit quaternion."""
     w, x, y, z = np.moveaxis(np.asarray(wxyz, dtype=float), -1, 0)

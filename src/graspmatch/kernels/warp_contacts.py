@@ -22,10 +22,10 @@ FACING_FIRST = 0.2
 """Cosine between the way of a finger and its push on a point, at least, for a first contact ..."""
 FACING = 0.5
 """... and for the rest of the patch: beside an edge of the object, the other face is not touched."""
-SAME_FACE = 0.8
-"""Cosine between the normals of a face and of a point on its edge."""
 PALM_FACING = 0.5
 """The same for the approach and what the palm touches."""
+SAME_FACE = 0.8
+"""Cosine between the normals of a face and of a point on its edge."""
 PALM_TOUCHES = 0.002
 """Points nearer to the palm than this touch it [m]."""
 PALM_WAY = 0.006
@@ -154,15 +154,14 @@ def across(n: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def push_at(
-    i: int, k: int, grid: int, face: wp.vec3, on_face: bool, body: Body, hand: Hand, reached: Reached
-) -> wp.vec3:
+def push_at(i: int, k: int, grid: int, face: wp.vec3, body: Body, hand: Hand, reached: Reached) -> wp.vec3:
     """Direction in which a finger pushes a point: against the normal; beside an edge, where it may be any between those
-    of the faces, along the middle of that and the finger's way, unless the finger lies on a face with that normal.
+    of the faces, along the middle of that and the finger's way, unless the finger lies on a `face` with that normal
+    (zero where it lies on none).
     `grid` is the finger's; the palm has none (-1)."""
     n = reached.normal[i, k]
     push = -n
-    if grid >= 0 and body.is_edge[reached.index[i, k]] == 1 and not (on_face and wp.dot(n, face) > SAME_FACE):
+    if grid >= 0 and body.is_edge[reached.index[i, k]] == 1 and wp.dot(n, face) <= SAME_FACE:
         way = slowness(hand.arrival, grid, reached.point[i, k])
         push = wp.normalize(push + way / wp.max(wp.length(way), 1.0e-3))
     return push
@@ -175,7 +174,6 @@ def spread_patch(
     grid: int,
     start: int,
     face: wp.vec3,
-    on_face: bool,
     count: int,
     tolerance: float,
     body: Body,
@@ -186,7 +184,7 @@ def spread_patch(
     """Contacts of g: `start`, and of the points whose excess is within the tolerance those farthest along two axes."""
     x0 = reached.point[i, start]
     contacts.point[i, g, 0] = x0
-    contacts.push[i, g, 0] = push_at(i, start, grid, face, on_face, body, hand, reached)
+    contacts.push[i, g, 0] = push_at(i, start, grid, face, body, hand, reached)
     a = across(reached.normal[i, start])
     b = wp.cross(reached.normal[i, start], a)
     reach = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -207,7 +205,7 @@ def spread_patch(
             is_new = is_new and corner[r] != corner[s]
         if is_new:
             contacts.point[i, g, found] = reached.point[i, corner[s]]
-            contacts.push[i, g, found] = push_at(i, corner[s], grid, face, on_face, body, hand, reached)
+            contacts.push[i, g, found] = push_at(i, corner[s], grid, face, body, hand, reached)
             found += 1
     contacts.count[i, g] = found
 
@@ -324,13 +322,13 @@ def touch(
                 if late <= nearest and body.is_edge[reached.index[i, k]] == 0:
                     nearest = late
                     on_face = k
-            face = reached.normal[i, start]
+            face = wp.vec3(0.0, 0.0, 0.0)
             if on_face >= 0:
                 start = on_face
                 face = reached.normal[i, on_face]
-            spread_patch(i, f, grid + f, start, face, on_face >= 0, count, tolerance, body, hand, reached, contacts)
+            spread_patch(i, f, grid + f, start, face, count, tolerance, body, hand, reached, contacts)
     contacts.count[i, fingers] = 0
     if palm_start >= 0:
         spread_patch(
-            i, fingers, -1, palm_start, hand.approach, True, count, palm_gap + tolerance, body, hand, reached, contacts
+            i, fingers, -1, palm_start, hand.approach, count, palm_gap + tolerance, body, hand, reached, contacts
         )

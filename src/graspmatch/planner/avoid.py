@@ -120,11 +120,7 @@ def backed_off(matched: Matched, posture: Int[np.ndarray, "n"], retreat: Float[n
     T_world_gripper = matched.T_world_gripper.copy()
     T_world_gripper[:, :3, 3] -= retreat[:, None] * (T_world_gripper[:, :3, :3] @ space.gripper.approach)
     opened = Candidates(posture, T_world_gripper)
-    start = Candidates(
-        posture, T_world_gripper @ se3.translation(-space.gripper.approach_distance * space.gripper.approach)
-    )
-    table = np.minimum(table_clearance(opened, space), table_clearance(start, space))
-    clearance = np.minimum(point_clearance(opened, space), table)
+    clearance = np.minimum(point_clearance(opened, space), table_clearance_of_way(opened, space))
     moved = vars(matched) | {"preshape": posture, "T_world_gripper": T_world_gripper}
     return Free(**moved, matched_preshape=matched.preshape, clearance=clearance, retreat=retreat)
 
@@ -146,6 +142,13 @@ def point_retreat(
     inputs = [*corridor_inputs(space, points), *way, *poses, *bounds]
     launch(back_off, len(candidates), inputs, [retreat], space.device, lanes=LANES, chunks=4)
     return retreat.numpy().astype(float)
+
+
+def table_clearance_of_way(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
+    """Height of hand and way in above the table [m]: the way is straight, so lowest at one of its ends."""
+    back = se3.translation(-space.gripper.approach_distance * space.gripper.approach)
+    start = Candidates(candidates.preshape, candidates.T_world_gripper @ back)
+    return np.minimum(table_clearance(candidates, space), table_clearance(start, space))
 
 
 def point_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:

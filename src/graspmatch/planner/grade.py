@@ -49,9 +49,8 @@ def draw_trials(gripper: Gripper, config: GripConfig, seed: int) -> Trials:
     rng = np.random.default_rng(seed)
     turn = se3.rotation_exp(config.angle_error * rng.normal(size=(config.trials, 3)))
     error = se3.from_parts(turn, config.position_error * rng.normal(size=(config.trials, 3)))
-    tcp = gripper.tool_centre_point
     friction = np.resize(np.array(config.frictions), config.trials)
-    return Trials(se3.translation(tcp) @ error @ se3.translation(-tcp), friction)
+    return Trials(se3.about(gripper.tool_centre_point, error), friction)
 
 
 def foremost(

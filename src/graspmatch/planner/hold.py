@@ -9,10 +9,9 @@ import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
-from scipy.spatial import KDTree
 
 from graspmatch.config import GripConfig
-from graspmatch.geometry.cloud import normal_sector, voxel_downsample
+from graspmatch.geometry.cloud import nearest, normal_sector, voxel_downsample
 from graspmatch.geometry.grid import Grid
 from graspmatch.kernels import warp_contacts, warp_hold, warp_wrench
 from graspmatch.kernels.fields import stack_fields
@@ -110,8 +109,7 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
 
 def beside_edge(points: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> Bool[Array, "n"]:
     """Whether a neighbour's normal is about across that of the point."""
-    count = min(NEIGHBOURS + 1, len(points))
-    _, neighbours = KDTree(points).query(points, k=count)
+    _, neighbours = nearest(points, NEIGHBOURS + 1)
     cosine = np.einsum("nki,ni->nk", normals[neighbours], normals)
     return np.any(np.abs(cosine) < EDGE, axis=-1)
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from graspmatch.config import PlannerConfig
 from graspmatch.geometry import se3
-from graspmatch.planner.avoid import Space, point_clearance, table_clearance
+from graspmatch.planner.avoid import Space, point_clearance, table_clearance_of_way
 from graspmatch.planner.candidates import Candidates, Closed, Free, Graded
 from graspmatch.planner.close import contact_joints, meet_object
 from graspmatch.planner.grade import Trials, draw_trials, grade, pooled
@@ -117,21 +117,19 @@ def confirm(graded: Graded, judge: Judge) -> Graded:
 
 def neighbours(graded: Graded, scale: Float[Array, "n"], judge: Judge) -> tuple[Graded, Int[Array, "m"]]:
     """Twelve poses around each candidate, and which candidate each is of."""
-    n, config, tcp = len(graded), judge.config.refining, judge.gripper.tool_centre_point
+    n, config = len(graded), judge.config.refining
     signs = np.concatenate([np.eye(6), -np.eye(6)])
     origin = np.repeat(np.arange(n), len(signs))
     steps = np.tile(signs, (n, 1)) * scale[origin, None]
     turn = se3.rotation_exp(config.angle * steps[:, 3:])
-    move = se3.translation(tcp) @ se3.from_parts(turn, config.step * steps[:, :3]) @ se3.translation(-tcp)
+    move = se3.about(judge.gripper.tool_centre_point, se3.from_parts(turn, config.step * steps[:, :3]))
     tried = graded.select(origin)
     return replace(tried, T_world_gripper=tried.T_world_gripper @ move), origin
 
 
 def free_neighbours(tried: Graded, origin: Int[Array, "m"], judge: Judge) -> tuple[Free, Int[Array, "k"]]:
     """Those whose hand and way in keep their clearance."""
-    back = se3.translation(-judge.gripper.approach_distance * judge.gripper.approach)
-    start = Candidates(tried.preshape, tried.T_world_gripper @ back)
-    table = np.minimum(table_clearance(tried, judge.space), table_clearance(start, judge.space))
+    table = table_clearance_of_way(tried, judge.space)
     above = np.flatnonzero(table > CLEAR_ENOUGH * judge.config.collision.clearance)
     tried, origin, table = tried.select(above), origin[above], table[above]
     clearance = np.minimum(point_clearance(tried, judge.space), table)

@@ -56,9 +56,11 @@ class Lifted:
     margin: Float[Array, "n"]
     """Mean over the trials of the planner."""
     held_share: Float[Array, "n"]
+    """Of those trials."""
     standing: Float[Array, "n"]
     """Mean margin before the object turns, see `Graded`."""
-    """Of those trials."""
+    clear_share: Float[Array, "n"]
+    """Of small displacements of the hand, in which it meets nothing on its way in."""
     loss: Float[Array, "n"]
     """Eq. (13) [m2]."""
     contacts: Int[Array, "n"]
@@ -74,7 +76,7 @@ class Lifted:
     moment_arm: Float[Array, "n"]
     """Distance of the tool centre point from the centre of mass, by the object's size."""
     score: Float[Array, "n"]
-    """The planner's confidence."""
+    """The planner's, which counts small errors of the pose; here the pose is exact."""
     reason: Shaped[Array, "n"]
     """Why it did not hold; empty where it held."""
 
@@ -101,6 +103,7 @@ FIGURES = (
     "margin",
     "held_share",
     "standing",
+    "clear_share",
     "loss",
     "planned_margin",
     "pushed",
@@ -221,10 +224,10 @@ def with_figures(job: Job, grasps: GraspSet, scene: Scene, gripper: Gripper, rea
     config, device = job.planner.grip, grasps.provenance.device
     target = touchable(scene, config.points, device)
     closed, planned = closed_again(grasps, target, gripper, job.planner)
-    trials = draw_trials(gripper, config, grasps.provenance.seed)
+    trials = draw_trials(config, grasps.provenance.seed)
     space = upload_space(scene, gripper, device)
-    graded = grade(closed, grasps.matching_error, grasps.loss, trials, space, target, gripper, config, device)
-    if not np.allclose(graded.confidence, grasps.score, atol=1e-4):
+    graded = grade(closed, grasps.matching_error, grasps.loss, trials, space, target, config)
+    if not np.allclose(graded.sureness, grasps.score, atol=1e-4):
         raise GraspmatchError(f"{job.hand} {job.object}: the figures do not give the score of the plan.")
     R_world_gripper = grasps.T_world_gripper[:, :3, :3]
     grip_centre = R_world_gripper @ gripper.tool_centre_point + grasps.T_world_gripper[:, :3, 3]
@@ -234,6 +237,7 @@ def with_figures(job: Job, grasps: GraspSet, scene: Scene, gripper: Gripper, rea
         margin=graded.margin,
         held_share=graded.held_share,
         standing=graded.standing,
+        clear_share=graded.clear_share,
         loss=grasps.loss,
         contacts=planned.contacts,
         planned_margin=planned.margin,

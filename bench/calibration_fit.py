@@ -23,6 +23,7 @@ TERMS: dict[str, Callable[[Lifted], Array]] = {
     "held share": lambda lifted: lifted.held_share,
     "standing margin": lambda lifted: lifted.standing,
     "root loss": lambda lifted: np.sqrt(np.maximum(lifted.loss, 0.0)) / LOSS_SCALE,
+    "clear share": lambda lifted: lifted.clear_share,
     "contacts": lambda lifted: lifted.contacts.astype(float),
     "margin as planned": lambda lifted: lifted.planned_margin,
     "pushed": lambda lifted: 100 * lifted.pushed,

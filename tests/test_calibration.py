@@ -58,6 +58,7 @@ def made_up(rng: np.random.Generator, objects: int = 24, each: int = 50, model: 
         margin=rng.normal(0.0, 0.5, n),
         held_share=rng.integers(0, 7, n) / 6,
         standing=rng.normal(0.0, 0.4, n),
+        clear_share=rng.uniform(0.0, 1.0, n),
         loss=rng.uniform(0.0, 0.1, n) ** 2,
         contacts=rng.integers(0, 12, n),
         planned_margin=rng.normal(0.0, 0.5, n),

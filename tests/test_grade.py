@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from graspmatch.config import PlannerConfig, RefiningConfig
 from graspmatch.geometry import se3
@@ -17,7 +18,9 @@ from graspmatch.planner.close import contact_joints
 from graspmatch.planner.grade import (
     CALIBRATION,
     Trials,
+    clear_share,
     confidence,
+    draw_errors,
     draw_trials,
     foremost,
     grade,
@@ -86,26 +89,32 @@ def test_confidence_grows_with_the_margin_and_with_the_share_that_holds_and_fall
     assert confidence(*np.zeros((4, 1)))[0] == pytest.approx(1 / (1 + np.exp(-CALIBRATION[0])))
 
 
-def test_trials_are_errors_of_the_size_asked_for_about_the_tool_centre_point(franka):
-    config = replace(CONFIG.grip, trials=1000)
-    trials = draw_trials(franka, config, 0)
-    moved = se3.apply(trials.error, np.tile(franka.tool_centre_point, (1000, 1, 1)))[:, 0] - franka.tool_centre_point
-    assert moved.std(axis=0) == pytest.approx(np.full(3, config.position_error), rel=0.1)
-    cosine = (np.trace(trials.error[:, :3, :3], axis1=1, axis2=2) - 1) / 2
-    angle = np.arccos(np.clip(cosine, -1, 1))
-    assert np.sqrt(np.mean(angle**2)) == pytest.approx(np.sqrt(3) * config.angle_error, rel=0.1)
-    assert set(trials.friction) == set(config.frictions)
+@pytest.mark.parametrize("count", [12, 96])
+def test_errors_have_the_covariance_asked_for_and_all_one_size(count):
+    position, angle = 0.003, np.radians(3.0)
+    errors = draw_errors(count, position, angle, np.random.default_rng(0))
+    shift, turn = errors[:, :3, 3], Rotation.from_matrix(errors[:, :3, :3]).as_rotvec()
+    drawn = np.concatenate([shift / position, turn / angle], axis=-1)
+    np.testing.assert_allclose(drawn.T @ drawn / count, np.eye(6), atol=1e-9)
+    np.testing.assert_allclose(drawn.mean(axis=0), 0, atol=1e-12)
+    np.testing.assert_allclose(np.sum(drawn**2, axis=-1), 6)
+
+
+def test_the_trials_are_as_many_as_asked_for_and_the_frictions_take_turns():
+    trials = draw_trials(CONFIG.grip, 0)
+    assert len(trials) == len(trials.error) == CONFIG.grip.trials
+    assert len(trials.way_in) == CONFIG.grip.ways_in
+    assert set(trials[:3].friction) == set(CONFIG.grip.frictions)
 
 
 def test_the_same_seed_tries_the_same(franka, judge):
-    first, again, other = (draw_trials(franka, CONFIG.grip, seed) for seed in (3, 3, 4))
+    first, again, other = (draw_trials(CONFIG.grip, seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.error, again.error)
     assert not np.array_equal(first.error, other.error)
     closed = around(judge, 6)
     no_loss = np.zeros(6)
     a, b, c = (
-        grade(closed, no_loss, no_loss, t, judge.space, judge.target, franka, CONFIG.grip, "cpu")
-        for t in (first, again, other)
+        grade(closed, no_loss, no_loss, t, judge.space, judge.target, CONFIG.grip) for t in (first, again, other)
     )
     np.testing.assert_array_equal(a.confidence, b.confidence)
     assert not np.array_equal(a.confidence, c.confidence)
@@ -118,7 +127,7 @@ def test_grades_are_shares_of_the_trials_and_means_of_their_margins(franka, judg
     np.testing.assert_allclose(share, np.round(share), atol=1e-9)
     assert np.all(graded.held_share[4::5] == 0)
     assert graded.held_share[0] == 1
-    assert np.all(graded.margin[graded.held_share == 0] == LOST_MARGIN)
+    np.testing.assert_allclose(graded.margin[graded.held_share == 0], LOST_MARGIN)
     np.testing.assert_array_equal(
         graded.confidence, confidence(graded.margin, graded.held_share, graded.final_loss, graded.standing)
     )
@@ -127,14 +136,28 @@ def test_grades_are_shares_of_the_trials_and_means_of_their_margins(franka, judg
 
 def test_without_errors_every_trial_is_the_plan(franka, judge):
     closed, n = around(judge, 8), 8
-    trials = Trials(np.tile(np.eye(4), (3, 1, 1)), np.full(3, middling(CONFIG.grip)))
-    graded = grade(closed, np.zeros(n), np.zeros(n), trials, judge.space, judge.target, franka, CONFIG.grip, "cpu")
+    unmoved = np.tile(np.eye(4), (3, 1, 1))
+    trials = Trials(unmoved, unmoved, np.full(3, middling(CONFIG.grip)))
+    graded = grade(closed, np.zeros(n), np.zeros(n), trials, judge.space, judge.target, CONFIG.grip)
     planned = hold(closed, np.full(n, middling(CONFIG.grip)), judge.target, franka, CONFIG.grip, "cpu")
     clearance = np.minimum(point_clearance(closed, judge.space), table_clearance(closed, judge.space))
-    held = planned.held & (clearance > 0)
-    assert 0 < held.sum() < n
-    np.testing.assert_array_equal(graded.held_share, held)
-    np.testing.assert_allclose(graded.margin, np.where(held, planned.margin, LOST_MARGIN))
+    assert 0 < planned.held.sum() < n
+    np.testing.assert_array_equal(graded.held_share, planned.held)
+    np.testing.assert_allclose(graded.margin, np.where(planned.held, planned.margin, LOST_MARGIN))
+    assert 0 < np.sum(clearance > 0) < n
+    np.testing.assert_array_equal(graded.clear_share, clearance > 0)
+
+
+def test_a_hand_that_barely_fits_is_less_sure_than_one_with_room(franka, judge):
+    centred = around(judge, 1)
+    aside = replace(centred, T_world_gripper=centred.T_world_gripper.copy())
+    aside.T_world_gripper[:, :3, 3] += 0.019 * (centred.T_world_gripper[:, :3, :3] @ franka.closing)  # of 20 mm of room
+    room, tight = (judge.grade(closed, judge.first) for closed in (centred, aside))
+    assert room.clear_share[0] > 0.9
+    assert 0.2 < tight.clear_share[0] < 0.8
+    np.testing.assert_allclose(tight.clear_share, clear_share(aside, judge.trials, judge.space))
+    np.testing.assert_array_equal(tight.sureness, tight.clear_share * tight.confidence)
+    assert tight.sureness[0] < 0.9 * room.sureness[0]
 
 
 def test_fingers_end_where_they_hold_the_object(franka, judge):
@@ -155,7 +178,7 @@ def test_none_are_graded_without_an_error(judge):
 def test_the_foremost_hold_and_the_tally_adds_up(franka, judge):
     closed = around(judge, 40)
     tally = Tally(40)
-    chosen = foremost(closed, 10, judge.target, franka, CONFIG.grip, "cpu", tally)
+    chosen = foremost(closed, 10, judge.trials, judge.space, judge.target, CONFIG.grip, tally)
     dropped = sum(count for reason, count in tally.counts.items() if reason != "candidates")
     assert len(chosen) == 10
     assert len(chosen) + dropped == 40
@@ -168,10 +191,11 @@ def test_the_foremost_hold_and_the_tally_adds_up(franka, judge):
 
 
 def test_refining_makes_the_surest_surer(judge):
+    never_enough = replace(CONFIG, refining=replace(CONFIG.refining, enough=1.0))
     graded = judge.grade(around(judge, 10, spread=0.5), judge.first)
-    refined = refine(graded, judge)
+    refined = refine(graded, replace(judge, config=never_enough))
     assert len(refined) == len(graded)
-    before, after = (judge.grade(g.as_closed(), slice(None)).confidence for g in (graded, refined))
+    before, after = (judge.grade(g.as_closed(), slice(None)).sureness for g in (graded, refined))
     assert after.max() >= before.max()
     assert np.sort(after)[-CONFIG.refining.count :].mean() > np.sort(before)[-CONFIG.refining.count :].mean()
     moved = ~np.isin(refined.T_world_gripper[:, 0, 3], graded.T_world_gripper[:, 0, 3])
@@ -179,7 +203,14 @@ def test_refining_makes_the_surest_surer(judge):
     assert np.all(refined.clearance[moved] > 0.98 * CONFIG.collision.clearance)
     confirmed = refined.tries == CONFIG.grip.trials
     assert confirmed.sum() >= CONFIG.grip.leaders
-    np.testing.assert_allclose(after[confirmed], refined.confidence[confirmed])
+    np.testing.assert_allclose(after[confirmed], refined.sureness[confirmed], rtol=0.05)
+
+
+def test_a_grasp_that_is_sure_enough_is_not_refined(judge):
+    graded = judge.grade(around(judge, 10, spread=0.5), judge.first)
+    refined = refine(graded, judge)
+    assert refined.sureness.max() >= CONFIG.refining.enough
+    np.testing.assert_array_equal(refined.T_world_gripper, graded.T_world_gripper)
 
 
 @pytest.mark.parametrize("off", [RefiningConfig(count=0), RefiningConfig(rounds=0)])
@@ -194,7 +225,7 @@ def test_confirming_tries_all_that_lead_as_often_as_wanted(judge):
     confirmed = confirm(graded, judge)
     np.testing.assert_array_equal(confirmed.T_world_gripper, graded.T_world_gripper)
     every = judge.grade(graded.as_closed(), slice(None))
-    leaders = np.argsort(-confirmed.confidence, kind="stable")[: CONFIG.grip.leaders]
+    leaders = np.argsort(-confirmed.sureness, kind="stable")[: CONFIG.grip.leaders]
     np.testing.assert_allclose(confirmed.confidence[leaders], every.confidence[leaders])
     np.testing.assert_allclose(confirmed.held_share[leaders], every.held_share[leaders])
     others = ~np.isclose(confirmed.margin, every.margin)

@@ -324,7 +324,7 @@ def test_advice_tells_how_wide_an_object_is_that_fits_no_way(toy):
     assert "toy opens 60 mm" in text
 
 
-def test_what_is_more_likely_to_fail_is_no_grasp_unless_it_is_asked_for(toy):
+def test_what_is_unlikely_to_hold_is_no_grasp_unless_it_is_asked_for(toy):
     scene, every = box_scene(), replace(SMALL, ranking=RankingConfig(count=100, least_confidence=0.0))
     grasps = plan(scene, toy, every)
     likely = plan(scene, toy, replace(every, ranking=RankingConfig(count=100, least_confidence=0.9)))

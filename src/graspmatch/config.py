@@ -139,10 +139,12 @@ class GripConfig:
     """... and the surest of them ..."""
     trials: int = 18
     """... so many times in all."""
-    position_error: float = 0.002
+    ways_in: int = 24
+    """So many times the way in is looked at, the hand displaced likewise: what meets something there fails at once."""
+    position_error: float = 0.003
     """Standard deviation of the displacements along each axis [m] ..."""
-    angle_error: float = math.radians(2.0)
-    """... and about each axis [rad]."""
+    angle_error: float = math.radians(3.0)
+    """... and about each axis [rad], through the hand's base."""
     points: int = 2000
     """Of the object, at most so many ..."""
     reachable_points: int = 400
@@ -163,7 +165,7 @@ class RefiningConfig:
 
     count: int = 4
     """So many of them; 0: none."""
-    rounds: int = 2
+    rounds: int = 3
     """Steps of the search."""
     trials: int = 3
     """Of each grasp in the search."""
@@ -184,8 +186,8 @@ class RankingConfig:
     count: int = 20
     """At most so many."""
     least_confidence: float | None = None
-    """Grasps that are less sure are none. None: 0.5 where a mesh tells the whole surface, so that what is more likely
-    to fail than to hold does not come out; else 0, for fingers close on sides that a camera did not see."""
+    """Grasps of a lower score are none. None: 0.3 where a mesh tells the whole surface, so that what is unlikely to
+    hold does not come out; else 0, for fingers close on sides that a camera did not see."""
     distinct_distance: float = 0.01
     """Grasps nearer than this [m] ..."""
     distinct_angle: float = 0.26
@@ -324,6 +326,7 @@ def check(config: PlannerConfig) -> None:
         ("grip.trials", config.grip.trials, 1, 1e4),
         ("grip.position_error", config.grip.position_error, 0, 0.1),
         ("grip.angle_error", config.grip.angle_error, 0, 1),
+        ("grip.ways_in", config.grip.ways_in, 1, 1e4),
         ("grip.points", config.grip.points, 1, 1e6),
         ("grip.reachable_points", config.grip.reachable_points, 1, 1e6),
         ("grip.step", config.grip.step, 1e-5, 0.05),

@@ -151,11 +151,11 @@ def table_clearance_of_way(candidates: Candidates, space: Space) -> Float[np.nda
     return np.minimum(table_clearance(candidates, space), table_clearance(start, space))
 
 
-def point_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
-    """Smallest distance of hand and way in to any point [m]."""
+def point_clearance(candidates: Candidates, space: Space, points: BlockCloud | None = None) -> Float[np.ndarray, "n"]:
+    """Smallest distance of hand and way in to any point of the scene, or of those given [m]."""
     clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
-    inputs = [*corridor_inputs(space, space.points), *poses]
+    inputs = [*corridor_inputs(space, points or space.points), *poses]
     launch(least_distance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=4)
     return clearance.numpy().astype(float)
 

@@ -72,6 +72,8 @@ class Graded(Closed):
     """Eq. (14) of the matched preshape at the final pose [m2]."""
     final_loss: Float[Array, "n"]
     """Eq. (13) there [m2]."""
+    clear_share: Float[Array, "n"]
+    """Share of small displacements of the hand in which it meets nothing on its way in."""
     margin: Float[Array, "n"]
     """Smallest wrench that is not resisted in the end, the mean over all trials: see `hold.Held`, `grade.grade`."""
     held_share: Float[Array, "n"]
@@ -82,7 +84,12 @@ class Graded(Closed):
     tries: Int[Array, "n"]
     """How many trials that were."""
     confidence: Float[Array, "n"]
-    """Share of such grasps that hold in simulation."""
+    """Share of such grasps that hold in simulation once the hand has arrived."""
+
+    @property
+    def sureness(self) -> Float[Array, "n"]:
+        """Share of such grasps that hold though the hand comes a little displaced."""
+        return self.clear_share * self.confidence
 
     def as_closed(self) -> Closed:
         """Without the verdict."""

@@ -22,6 +22,8 @@ Array = np.ndarray
 
 WORST = -2.0
 """Margins as the fingers meet the object count no less."""
+STANDING_TRIALS = 2
+"""So many of the trials ask for the standing margin, which varies little."""
 LOSS_SCALE = 0.05
 """[m]"""
 CALIBRATION = (2.36, 1.77, 2.12, -0.97, 1.18)
@@ -32,33 +34,55 @@ CALIBRATION = (2.36, 1.77, 2.12, -0.97, 1.18)
 class Trials:
     """Conditions under which every grasp is tried."""
 
+    way_in: Float[Array, "m 4 4"]
+    """Displacements of the hand that must meet nothing on its way in, gripper frame ..."""
     error: Float[Array, "k 4 4"]
-    """Displacements of the hand, gripper frame."""
+    """... and those under which its fingers close, ..."""
     friction: Float[Array, "k"]
+    """... each with its friction."""
 
     def __getitem__(self, which: slice) -> Trials:
-        """Some of them."""
-        return Trials(self.error[which], self.friction[which])
+        """Some of the closings."""
+        return Trials(self.way_in, self.error[which], self.friction[which])
 
     def __len__(self) -> int:
         return len(self.friction)
 
 
-def draw_trials(gripper: Gripper, config: GripConfig, seed: int) -> Trials:
-    """Small errors of the pose about the tool centre point, and the frictions in turn."""
+def draw_trials(config: GripConfig, seed: int) -> Trials:
+    """Small errors of the pose, as of a robot's wrist: turns about the hand's base move its fingertips too. And the
+    frictions in turn."""
     rng = np.random.default_rng(seed)
-    turn = se3.rotation_exp(config.angle_error * rng.normal(size=(config.trials, 3)))
-    error = se3.from_parts(turn, config.position_error * rng.normal(size=(config.trials, 3)))
-    friction = np.resize(np.array(config.frictions), config.trials)
-    return Trials(se3.about(gripper.tool_centre_point, error), friction)
+    error = draw_errors(config.trials, config.position_error, config.angle_error, rng)
+    way_in = draw_errors(config.ways_in, config.position_error, config.angle_error, rng)
+    return Trials(way_in, error, np.resize(np.array(config.frictions), config.trials))
+
+
+def draw_errors(count: int, position: float, angle: float, rng: np.random.Generator) -> Float[Array, "k 4 4"]:
+    """Displacements with the mean and the covariance of a normal distribution, but all of one size: both ways along the
+    axes of randomly turned frames, so that few of them look in every direction (the spherical-radial rule of degree
+    three, Genz and Monahan 1998)."""
+    frames = [np.linalg.qr(rng.normal(size=(6, 6)))[0] for _ in range(-(-count // 12))]
+    both_ways = np.stack([np.concatenate(frames), -np.concatenate(frames)], axis=1).reshape(-1, 6)
+    drawn = np.sqrt(6) * both_ways[:count]
+    return se3.from_parts(se3.rotation_exp(angle * drawn[:, 3:]), position * drawn[:, :3])
 
 
 def foremost(
-    closed: Closed, count: int, target: Touchable, gripper: Gripper, config: GripConfig, device: str, tally: Tally
+    closed: Closed,
+    count: int,
+    trials: Trials,
+    space: Space,
+    target: Touchable,
+    config: GripConfig,
+    tally: Tally,
 ) -> Closed:
-    """The most promising distinct candidates: those that hold best where they are, with middling friction."""
-    held = hold(closed, np.full(len(closed), middling(config)), target, gripper, config, device)
+    """The most promising distinct candidates: those that hold best where they are, with middling friction, and meet
+    nothing on their way in when they are displaced a little."""
+    held = hold(closed, np.full(len(closed), middling(config)), target, space.gripper, config, space.device)
+    share = clear_share(closed, trials, space)
     worth = np.where(held.held, held.margin, held.margin - np.sqrt(closed.loss))  # lost: those that match best
+    worth = share * worth + (1 - share) * np.minimum(worth, LOST_MARGIN)
     order = rank(closed, worth, RankingConfig(count=count), tally, "less promising than others")
     return closed.select(order)
 
@@ -70,26 +94,22 @@ def grade(
     trials: Trials,
     space: Space,
     target: Touchable,
-    gripper: Gripper,
     config: GripConfig,
-    device: str,
+    standing: Float[Array, "n"] | None = None,
 ) -> Graded:
-    """What comes of closing the fingers under all trials; error and loss are those of the poses as they are [m2]. A
-    displaced hand that meets anything on its way in holds nothing."""
-    n, k = len(closed), len(trials)
-    displaced = Candidates(
-        np.repeat(closed.preshape, k), (closed.T_world_gripper[:, None] @ trials.error).reshape(-1, 4, 4)
-    )
-    tried = hold(displaced, np.tile(trials.friction, n), target, gripper, config, device)
-    held = tried.held & (np.minimum(point_clearance(displaced, space), table_clearance(displaced, space)) > 0)
-    margin = np.where(held, tried.margin, LOST_MARGIN).reshape(n, k).mean(axis=-1)
-    held_share = held.reshape(n, k).mean(axis=-1)
-    met = hold(displaced, np.full(n * k, middling(config)), target, gripper, config, device, upright=True)
-    standing = np.maximum(met.margin, WORST).reshape(n, k).mean(axis=-1) / strength(gripper)
+    """What comes of arriving and of closing the fingers under all trials; error and loss are those of the poses as they
+    are [m2], and the standing margin may be taken from grasps nearby."""
+    n, k, gripper, device = len(closed), len(trials), space.gripper, space.device
+    tried = hold(displaced(closed, trials.error), np.tile(trials.friction, n), target, gripper, config, device)
+    margin = np.where(tried.held, tried.margin, LOST_MARGIN).reshape(n, k).mean(axis=-1)
+    held_share = tried.held.reshape(n, k).mean(axis=-1)
+    if standing is None:
+        standing = standing_margin(closed, trials, target, gripper, config, device)
     return Graded(
         **vars(closed),
         error=error,
         final_loss=loss,
+        clear_share=clear_share(closed, trials, space),
         margin=margin,
         held_share=held_share,
         standing=standing,
@@ -98,15 +118,36 @@ def grade(
     )
 
 
+def standing_margin(
+    closed: Closed, trials: Trials, target: Touchable, gripper: Gripper, config: GripConfig, device: str
+) -> Float[Array, "n"]:
+    """The mean margin under a few trials as the fingers meet an object that does not turn, see `Graded`."""
+    few = trials.error[:STANDING_TRIALS]
+    friction = np.full(len(closed) * len(few), middling(config))
+    met = hold(displaced(closed, few), friction, target, gripper, config, device, upright=True)
+    return np.maximum(met.margin, WORST).reshape(len(closed), len(few)).mean(axis=-1) / strength(gripper)
+
+
+def displaced(candidates: Candidates, errors: Float[Array, "k 4 4"]) -> Candidates:
+    """Each candidate under each error in turn."""
+    poses = (candidates.T_world_gripper[:, None] @ errors).reshape(-1, 4, 4)
+    return Candidates(np.repeat(candidates.preshape, len(errors)), poses)
+
+
+def clear_share(candidates: Candidates, trials: Trials, space: Space) -> Float[Array, "n"]:
+    """Share of the ways in that meet nothing, as far as every so manieth point tells."""
+    poses = displaced(candidates, trials.way_in)
+    clearance = np.minimum(point_clearance(poses, space, space.coarse), table_clearance(poses, space))
+    return (clearance > 0).reshape(len(candidates), len(trials.way_in)).mean(axis=-1)
+
+
 def pooled(a: Graded, b: Graded) -> Graded:
     """The same grasps after the trials of both."""
     share = a.tries / (a.tries + b.tries)
     margin = share * a.margin + (1 - share) * b.margin
     held_share = share * a.held_share + (1 - share) * b.held_share
-    standing = share * a.standing + (1 - share) * b.standing
-    sure = confidence(margin, held_share, a.final_loss, standing)
-    tries = a.tries + b.tries
-    return replace(a, margin=margin, held_share=held_share, standing=standing, tries=tries, confidence=sure)
+    sure = confidence(margin, held_share, a.final_loss, a.standing)
+    return replace(a, margin=margin, held_share=held_share, tries=a.tries + b.tries, confidence=sure)
 
 
 def stopped(graded: Graded, target: Touchable, gripper: Gripper, config: GripConfig, device: str) -> Graded:

@@ -66,8 +66,8 @@ def plan(
         if graded.confidence.max(initial=0.0) >= config.refining.enough:
             break
     assert graded is not None  # there is one batch at least
-    graded = graded.select(tally.keep(graded.confidence >= least_confidence(scene, config.ranking), UNSURE))
-    order = rank(graded, graded.confidence, config.ranking, tally, "ranked lower than asked for")
+    graded = graded.select(tally.keep(graded.sureness >= least_confidence(scene, config.ranking), UNSURE))
+    order = rank(graded, graded.sureness, config.ranking, tally, "ranked lower than asked for")
     graded = stopped(graded.select(order), judge.target, gripper, config.grip, device)
     watch.lap("rank")
     provenance = Provenance(
@@ -87,7 +87,7 @@ def candidates_from(
     starts: Candidates, judge: Judge, tally: Tally, watch: Stopwatch, rng: np.random.Generator
 ) -> Graded:
     """All that becomes of some starts, graded and refined."""
-    gripper, config, space = judge.gripper, judge.config, judge.space
+    config, space = judge.config, judge.space
     tally.add("candidates", len(starts))
     matched = match(starts, judge.problem, config.matching, rng)  # Algorithm 1 of the paper
     watch.lap("match")
@@ -96,7 +96,7 @@ def candidates_from(
     closed = close_fingers(free, space, config.closing, tally)  # contacts and joint values
     watch.lap("close")
     count = max(config.grip.finalists, config.ranking.count)
-    closed = foremost(closed, count, judge.target, gripper, config.grip, judge.device, tally)
+    closed = foremost(closed, count, judge.trials, space, judge.target, config.grip, tally)
     watch.lap("screen")
     graded = judge.grade(closed, judge.first)  # where the fingers push the object, what they hold there, how surely
     watch.lap("grade")
@@ -123,7 +123,7 @@ def grasp_set(
         preshape=graded.preshape,
         pregrasp_joints=pregrasp[graded.preshape],
         grasp_joints=graded.grasp_joints,
-        score=graded.confidence,
+        score=graded.sureness,
         quality=graded.margin,
         clearance=graded.clearance,
         matching_error=graded.error,
@@ -139,10 +139,10 @@ def least_confidence(scene: Scene, config: RankingConfig) -> float:
     """How sure a grasp must be to come out."""
     if config.least_confidence is not None:
         return config.least_confidence
-    return 0.5 if scene.mesh is not None else 0.0
+    return 0.3 if scene.mesh is not None else 0.0
 
 
-UNSURE = "more likely to fail than to hold"
+UNSURE = "unlikely to hold"
 
 
 def is_too_wide(width: float, gripper: Gripper) -> bool:

@@ -12,7 +12,7 @@ from graspmatch.geometry import se3
 from graspmatch.planner.avoid import Space, point_clearance, table_clearance_of_way
 from graspmatch.planner.candidates import Candidates, Closed, Free, Graded
 from graspmatch.planner.close import contact_joints, meet_object
-from graspmatch.planner.grade import Trials, draw_trials, grade, pooled
+from graspmatch.planner.grade import Trials, clear_share, draw_trials, grade, pooled
 from graspmatch.planner.hold import Touchable, touchable
 from graspmatch.planner.match import Problem, measure
 from graspmatch.planner.tally import Tally
@@ -37,13 +37,11 @@ class Judge:
     config: PlannerConfig
     device: str
 
-    def grade(self, closed: Closed, trials: slice) -> Graded:
+    def grade(self, closed: Closed, trials: slice, standing: Float[Array, "n"] | None = None) -> Graded:
         """Loss of grasps, and how sure they are after some of the trials."""
         error, loss = measure(Candidates(closed.matched_preshape, closed.T_world_gripper), self.problem)
-        config = self.config.grip
-        return grade(
-            closed, error, loss, self.trials[trials], self.space, self.target, self.gripper, config, self.device
-        )
+        some, config = self.trials[trials], self.config.grip
+        return grade(closed, error, loss, some, self.space, self.target, config, standing)
 
     @property
     def first(self) -> slice:
@@ -56,7 +54,7 @@ def judge_of(
 ) -> Judge:
     """What judging needs, made once for a plan."""
     target = touchable(scene, config.grip.points, device)
-    return Judge(gripper, space, problem, target, draw_trials(gripper, config.grip, config.seed), config, device)
+    return Judge(gripper, space, problem, target, draw_trials(config.grip, config.seed), config, device)
 
 
 def refine(graded: Graded, judge: Judge) -> Graded:
@@ -65,14 +63,12 @@ def refine(graded: Graded, judge: Judge) -> Graded:
     graded = confirm(graded, judge)
     searched = np.zeros(len(graded), dtype=bool)
     for _ in range(config.searches):
-        order = np.argsort(-graded.confidence, kind="stable")
+        order = np.argsort(-graded.sureness, kind="stable")
         best = order[~searched[order]][: config.count]
-        if not len(best) or not config.rounds:
+        if not len(best) or not config.rounds or graded.sureness.max() >= config.enough:
             break
         searched[best] = True
         graded = confirm(search(graded, best, judge), judge)
-        if graded.confidence.max() >= config.enough:
-            break
     return graded
 
 
@@ -84,14 +80,18 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
     """
     config = judge.config.refining
     few = slice(config.trials)
-    current, scale = judge.grade(graded.select(best).as_closed(), few), np.ones(len(best))
+    current, scale = judge.grade(graded.select(best).as_closed(), few, graded.standing[best]), np.ones(len(best))
     for _ in range(config.rounds):
         tried, origin = neighbours(current, scale, judge)
         tried, origin = free_neighbours(tried, origin, judge)
+        may_help = clear_share(tried, judge.trials, judge.space) > current.sureness[origin]  # none is surer than that
+        tried, origin = tried.select(may_help), origin[may_help]
         keep, fraction = meet_object(tried, judge.space, judge.config.closing, Tally(len(tried)))
         tried, origin, fraction = tried.select(keep), origin[keep], fraction[keep]
         joints = contact_joints(tried.preshape, fraction, judge.gripper)
-        found = judge.grade(Closed(**vars(tried), closing_fraction=fraction, grasp_joints=joints), few)
+        found = judge.grade(
+            Closed(**vars(tried), closing_fraction=fraction, grasp_joints=joints), few, current.standing[origin]
+        )
         current, improved = surest(current, found, origin)
         scale = np.where(improved, scale, scale / 2)
     refined, _ = surest(graded.select(best), judge.grade(current.as_closed(), slice(None)), np.arange(len(best)))
@@ -106,12 +106,12 @@ def confirm(graded: Graded, judge: Judge) -> Graded:
     config = judge.config.grip
     others = slice(config.first_trials, config.trials)
     while True:
-        leaders = np.argsort(-graded.confidence, kind="stable")[: config.leaders]
+        leaders = np.argsort(-graded.sureness, kind="stable")[: config.leaders]
         todo = np.sort(leaders[graded.tries[leaders] < config.trials])
         if not len(todo):
             break
         chosen = graded.select(todo)
-        graded = put(graded, todo, pooled(chosen, judge.grade(chosen.as_closed(), others)))
+        graded = put(graded, todo, pooled(chosen, judge.grade(chosen.as_closed(), others, chosen.standing)))
     return graded
 
 
@@ -141,9 +141,9 @@ def free_neighbours(tried: Graded, origin: Int[Array, "m"], judge: Judge) -> tup
 def surest(current: Graded, found: Graded, origin: Int[Array, "m"]) -> tuple[Graded, Array]:
     """For each candidate the surest of itself and its neighbours, and whether that is a neighbour."""
     n = len(current)
-    confidence = np.concatenate([current.confidence, found.confidence])
+    sureness = np.concatenate([current.sureness, found.sureness])
     owner = np.concatenate([np.arange(n), origin])
-    order = np.lexsort((np.arange(len(owner)), -confidence, owner))
+    order = np.lexsort((np.arange(len(owner)), -sureness, owner))
     first = order[np.unique(owner[order], return_index=True)[1]]
     return joined(current, found).select(first), first >= n
 

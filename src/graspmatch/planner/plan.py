@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from graspmatch.config import CollisionConfig, PlannerConfig, RankingConfig, check
-from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import narrowest_width
 from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.avoid import keep_free, upload_space
@@ -114,12 +113,11 @@ def grasp_set(
 ) -> GraspSet:
     """The result, in the order given."""
     pregrasp = np.array([preshape.joints for preshape in gripper.preshapes])
-    back = se3.translation(-gripper.approach_distance * gripper.approach)
     return GraspSet(
         joint_names=gripper.joint_names,
         preshape_names=tuple(preshape.name for preshape in gripper.preshapes),
         T_world_gripper=graded.T_world_gripper,
-        T_world_pregrasp=graded.T_world_gripper @ back,
+        T_world_pregrasp=graded.T_world_gripper @ gripper.T_gripper_pregrasp,
         preshape=graded.preshape,
         pregrasp_joints=pregrasp[graded.preshape],
         grasp_joints=graded.grasp_joints,

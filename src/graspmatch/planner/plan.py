@@ -17,6 +17,7 @@ from graspmatch.planner.candidates import Candidates, Graded
 from graspmatch.planner.close import close_fingers
 from graspmatch.planner.grade import foremost, stopped
 from graspmatch.planner.match import match, prepare
+from graspmatch.planner.path import Reach, aimed, keep_executable
 from graspmatch.planner.rank import rank
 from graspmatch.planner.refine import Judge, joined, judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
@@ -32,11 +33,14 @@ def plan(
     config: PlannerConfig | None = None,
     *,
     starts_world_gripper: Float[np.ndarray, "n 4 4"] | None = None,
+    reach: Reach | None = None,
 ) -> GraspSet:
     """Ranked grasps, best first, in the frame of the scene's input; an empty set explains itself.
 
     `starts_world_gripper` are poses to start from (another planner's, say) in place of the configured seeds; they are
     refined where they are, without the Stein phase.
+    `reach` says which ways the robot can go: a function of the poses (n, 3, 4, 4) of the gripper frame where n ways
+    begin, at their grasps and where they end, with n bools as its result; an `Arm` is one.
     Raises `GraspmatchError` for a device that is not there, and for a configuration that makes no sense.
     """
     config = config or PlannerConfig()
@@ -52,12 +56,12 @@ def plan(
         config = replace(config, matching=replace(config.matching, stein_iterations=0))
     problem = prepare(scene, gripper, config.matching, rng, device)
     space = upload_space(scene, gripper, device)
-    judge = judge_of(scene, gripper, space, problem, config, device)
+    judge = judge_of(scene, gripper, space, problem, config, device, reach)
     watch.lap("prepare")
     graded = None
     for _ in range(config.seeding.batches if starts_world_gripper is None else 1):
         if starts_world_gripper is None:
-            starts = seed_poses(scene, gripper, config.seeding, rng)
+            starts = aimed(seed_poses(scene, gripper, config.seeding, rng), judge.way, scene.centre_of_mass)
         else:
             starts = pose_seeds(starts_world_gripper, gripper)
         found = candidates_from(starts, judge, tally, watch, rng)
@@ -93,6 +97,7 @@ def candidates_from(
     free = keep_free(matched, space, config.collision, tally)  # hand and approach sweep
     watch.lap("avoid")
     closed = close_fingers(free, space, config.closing, tally)  # contacts and joint values
+    closed = keep_executable(closed, judge.way, tally)  # directions, workspace, way out, reach
     watch.lap("close")
     count = max(config.grip.finalists, config.ranking.count)
     closed = foremost(closed, count, judge.target, gripper, config.grip, judge.device, tally)

@@ -41,13 +41,26 @@ def target_of(
     mask: str | os.PathLike[str] | Array | None = None,
 ) -> Target:
     """The object of a number, at a place or under a mask; `table` is in the view frame, None to find it."""
-    if mask is None:
-        found = segment(view, table=table)
-    else:
-        marked = mask if isinstance(mask, np.ndarray) else read_mask(mask)
-        found = segment_by_mask(view, marked, table=table)
+    found = _segmented(view, table, mask)
     index = choose(view, found, number=number, at=at)
     return cut_out(view, found, index, notes=_notes(found, index, is_chosen=number is not None or at is not None))
+
+
+def targets_of(
+    view: View, table: Plane | None = None, *, mask: str | os.PathLike[str] | Array | None = None
+) -> dict[int, Target]:
+    """Every object of a view by its number, each with all others as obstacles."""
+    found = _segmented(view, table, mask)
+    notes = _notes(found, 0, is_chosen=True)
+    return {int(number): cut_out(view, found, index, notes=notes) for index, number in enumerate(found.numbers)}
+
+
+def _segmented(view: View, table: Plane | None, mask: str | os.PathLike[str] | Array | None) -> Segmentation:
+    """The objects of a view, or those that a mask marks."""
+    if mask is None:
+        return segment(view, table=table)
+    marked = mask if isinstance(mask, np.ndarray) else read_mask(mask)
+    return segment_by_mask(view, marked, table=table)
 
 
 def cut_out(view: View, found: Segmentation, index: int, *, notes: tuple[str, ...] = ()) -> Target:

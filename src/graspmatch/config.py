@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from graspmatch.errors import GraspmatchError
@@ -223,6 +223,19 @@ class PlannerConfig:
     """The one integer that all randomness comes from."""
     device: str = "auto"
     """`cpu`, `cuda:0`, or `auto`: CUDA where there is a device."""
+
+
+def fast(config: PlannerConfig) -> PlannerConfig:
+    """The same in a fraction of the time: half as many hands that start once, half as many trials, no refinement."""
+    few = max(config.seeding.points // 2, 1), config.seeding.above // 2
+    return replace(
+        config,
+        seeding=replace(config.seeding, points=few[0], above=few[1], batches=1),
+        grip=replace(
+            config.grip, finalists=config.grip.finalists // 2, first_trials=config.grip.first_trials // 2, leaders=0
+        ),
+        refining=replace(config.refining, count=0),
+    )
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from importlib.metadata import version
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.config import CollisionConfig, PlannerConfig, RankingConfig, check
-from graspmatch.geometry.cloud import narrowest_width
+from graspmatch.config import PathConfig, PlannerConfig, RankingConfig, check
 from graspmatch.kernels.launch import resolve_device
+from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Candidates, Graded
 from graspmatch.planner.close import close_fingers
@@ -83,7 +83,7 @@ def plan(
         source=scene.source,
         seconds=watch.seconds,
     )
-    return grasp_set(graded, scene, gripper, tally, provenance)
+    return grasp_set(graded, scene, gripper, tally, provenance, config.path)
 
 
 def candidates_from(
@@ -115,6 +115,7 @@ def grasp_set(
     gripper: Gripper,
     tally: Tally,
     provenance: Provenance,
+    path: PathConfig | None = None,
 ) -> GraspSet:
     """The result, in the order given."""
     pregrasp = np.array([preshape.joints for preshape in gripper.preshapes])
@@ -134,7 +135,7 @@ def grasp_set(
         fingers_touching=np.sum(graded.closing_fraction <= 1, axis=-1),
         tally=tally.counts,
         provenance=provenance,
-        advice="" if len(graded) else advice(tally, scene, gripper),
+        advice="" if len(graded) else advice(tally, scene, gripper, path),
     )
 
 
@@ -143,35 +144,3 @@ def least_confidence(scene: Scene, config: RankingConfig) -> float:
     if config.least_confidence is not None:
         return config.least_confidence
     return 0.5 if scene.mesh is not None else 0.0
-
-
-UNSURE = "more likely to fail than to hold"
-
-
-def is_too_wide(width: float, gripper: Gripper) -> bool:
-    """Whether a width leaves no room beside it between the open fingers [m]."""
-    return width > gripper.opening - 2 * CollisionConfig().clearance
-
-
-def advice(tally: Tally, scene: Scene, gripper: Gripper) -> str:
-    """What would help: that the object is too wide, if it is, else by the reason that dropped most candidates."""
-    width = narrowest_width(scene.target.points)
-    if is_too_wide(width, gripper):
-        return (
-            f"The object is at least {1000 * width:.0f} mm wide in every direction; {gripper.name} opens "
-            f"{1000 * gripper.opening:.0f} mm wide and finds no part of it to hold."
-        )
-    reasons = {reason: count for reason, count in tally.counts.items() if reason != "candidates"}
-    worst = max(reasons, key=lambda reason: reasons[reason], default="")
-    if not reasons.get(worst):
-        return ""
-    hints = {
-        "in collision with the table": "The hand meets the table: is the table's height right, the object too flat?",
-        "in collision with object or obstacles on the way in": (
-            f"The hand does not fit around the object: {gripper.name} opens {gripper.opening * 1000:.0f} mm wide."
-        ),
-        "fingers that close on nothing": "The fingers do not reach the object: is its size in metres?",
-        "fingers stopped by the table or an obstacle": "The fingers meet the table or an obstacle before the object.",
-        UNSURE: "The object slips out of the fingers; ranking.least_confidence = 0 gives the grasps all the same.",
-    }
-    return hints.get(worst, "")

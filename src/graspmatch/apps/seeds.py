@@ -59,7 +59,9 @@ def _start_of_grasps(
     poses = T_world_file @ grasps.best(MOST).T_world_gripper @ handover(other, gripper)
     of = "" if other is gripper else f" of {other.name}"
     best = f"the best {MOST} of " if len(grasps) > MOST else ""
-    return Start(config, poses, (f"Hands start from {best}{len(grasps)} grasps{of} in {path.name}.",))
+    return Start(
+        config, poses, (f"Hands start from {best}{len(grasps)} grasp{'s' * (len(grasps) != 1)}{of} in {path.name}.",)
+    )
 
 
 def handover(other: Gripper, gripper: Gripper) -> Float[Array, "4 4"]:

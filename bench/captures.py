@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from PIL import Image
 
 from graspmatch.apps.bench.machine import machine
 from graspmatch.apps.picture import (
@@ -29,7 +30,6 @@ from graspmatch.apps.picture import (
     hand_bodies,
     point_cloud_bodies,
     render,
-    write_png,
 )
 from graspmatch.config import PlannerConfig, fast
 from graspmatch.geometry.cloud import voxel_downsample
@@ -48,6 +48,7 @@ from graspmatch.types import GraspSet, Gripper
 CAPTURES = Path(__file__).parents[1] / ".." / "shared" / "data" / "scenes"
 PICTURED = 5
 PANEL = (400, 320)
+COLOURS = 64
 ASIDE = 25.0
 """The pictures are taken so far beside the sensor [degrees]."""
 SPHERES = 0.004
@@ -104,7 +105,8 @@ def draw(scene: Scene, grasps: GraspSet, gripper: Gripper, path: Path) -> None:
         T_gripper_link = pose_links(model, grasps.grasp_joints[i])
         hand = hand_bodies(gripper, grasps.T_world_gripper[i], T_gripper_link)
         panels.append(panel(things, hand, scene, up, f"{i + 1}   score {grasps.score[i]:.2f}"))
-    write_png(contact_sheet(panels, columns=3), path)
+    sheet = Image.fromarray(contact_sheet(panels, columns=3))
+    sheet.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def panel(things: list[Body], hand: list[Body], scene: Scene, up: Float[np.ndarray, "3"], caption: str) -> Panel:

@@ -72,7 +72,8 @@ def _gaussian(entry: Any, place: str) -> PoseGaussian:
         if values.get(key, 0.0) < 0:
             raise GraspmatchError(f"{place}: '{key}' is {values[key]:g}; it must not be negative.")
     length = math.hypot(*values["wxyz"])
-    return PoseGaussian(**values | {"wxyz": tuple(value / length for value in values["wxyz"])})
+    values["wxyz"] = tuple(value / length for value in values["wxyz"])
+    return PoseGaussian(**values)
 
 
 def _numbers(value: Any, length: int | None, place: str) -> float | tuple[float, ...]:
@@ -83,4 +84,5 @@ def _numbers(value: Any, length: int | None, place: str) -> float | tuple[float,
         raise GraspmatchError(
             f"{place} is {value!r}; {length or 'one'} finite number{'s' * (length is not None)} expected."
         )
-    return tuple(float(v) for v in several) if length else float(value)
+    numbers = tuple(float(v) for v in several)
+    return numbers if length else numbers[0]

@@ -88,7 +88,7 @@ class Arm:
 
     def __call__(self, T_world_gripper: Float[Array, "n k 4 4"]) -> Bool[Array, "n"]:
         """Whether the arm can take the gripper frame through each of n ways of k poses."""
-        return np.isfinite(self.follow(T_world_gripper)).all(axis=(1, 2))
+        return np.all(np.isfinite(self.follow(T_world_gripper)), axis=(1, 2))
 
     def follow(self, T_world_gripper: Float[Array, "n k 4 4"], seed: int = 0) -> Float[Array, "n k d"]:
         """Joint values at the k poses of each way, reached one after the other on straight lines; NaN where the arm

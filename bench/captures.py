@@ -75,7 +75,8 @@ def scene_of_cloud(cloud: CloudFile, name: str, number: int | None = None) -> Sc
 
 
 def measure(make: Callable[[], Scene], gripper: Gripper, config: PlannerConfig, repeats: int) -> dict[str, Any]:
-    """Scene, grasps, and the wall times [ms] of all repeats but the first."""
+    """Scene, grasps, and times of all repeats but the first [ms]: wall times, and the processor time of all threads, of
+    which the wall time of a machine that does nothing else is not more."""
     times = []
     for _ in range(repeats + 1):
         begin, busy = time.perf_counter(), time.process_time()
@@ -85,13 +86,11 @@ def measure(make: Callable[[], Scene], gripper: Gripper, config: PlannerConfig, 
         end = time.perf_counter()
         times.append([between - begin, end - between, end - begin, time.process_time() - busy])
     milliseconds = 1000 * np.array(times[1:])
-    best, median = milliseconds.min(axis=0), np.median(milliseconds, axis=0)
-    return {
-        "scene": scene,
-        "grasps": grasps,
-        "least_ms": {"scene": best[0], "plan": best[1], "both": best[2], "processor": best[3]},
-        "median_ms": {"scene": median[0], "plan": median[1], "both": median[2], "processor": median[3]},
-    }
+    least, median = (
+        dict(zip(("scene", "plan", "both", "processor"), values.round(1).tolist(), strict=True))
+        for values in (milliseconds.min(axis=0), np.median(milliseconds, axis=0))
+    )
+    return {"scene": scene, "grasps": grasps, "least_ms": least, "median_ms": median}
 
 
 def draw(scene: Scene, grasps: GraspSet, gripper: Gripper, path: Path) -> None:

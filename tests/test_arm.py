@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from arm_robot import write_arm
+from graspmatch.apps.cli import main
 from graspmatch.geometry import se3
 from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.arm import ANGLE_TOLERANCE, POSITION_TOLERANCE, Arm
 from graspmatch.planner.path import OUT_OF_REACH
 from graspmatch.planner.plan import plan
 from graspmatch.planner.waypoints import waypoints
+from graspmatch.scene.shapes import mug
 from graspmatch.types import GraspmatchError, Gripper
 from test_path import scene_with
 from test_planner import SMALL
@@ -155,3 +159,20 @@ def test_an_arm_with_a_ball_joint_is_an_error(tmp_path: Path, toy):
     (tmp_path / "ball.xml").write_text(ball)
     with pytest.raises(GraspmatchError, match="joint 'y' is no hinge and no slide"):
         Arm.read(tmp_path / "ball.xml", toy, tip="tool")
+
+
+def test_a_robot_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """The mug is 60 cm before the robot; the straight way in is 10 cm long."""
+    trimesh.Trimesh(mug().vertices, mug().faces).export(str(tmp_path / "mug.stl"))
+    words = ["plan", str(tmp_path / "mug.stl"), "--gripper", "robotiq_2f85", "--device", "cpu", "--json", "--fast"]
+    words += ["--robot", str(write_arm(tmp_path)), "--approach-distance", "0.1", "--robot-base=-0.6,0,0,1,0,0,0"]
+    assert main([*words, "--robot-tip", "flange"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["tally"][OUT_OF_REACH] > 0
+    for grasp in record["grasps"]:
+        assert [len(step["arm_joints"]) for step in grasp["way"]] == [7, 7, 7, 7]
+        assert None not in grasp["way"][0]["arm_joints"].values()
+        away = np.array(grasp["T_world_gripper"]) - np.array(grasp["T_world_pregrasp"])
+        assert np.linalg.norm(away[:3, 3]) == pytest.approx(0.1)
+    assert main(words) == 2  # the robot has no link of the name of the hand's base
+    assert "has no link 'base_mount'" in json.loads(capsys.readouterr().out)["error"]

@@ -34,6 +34,9 @@ Reach = Callable[[Float[Array, "n k 4 4"]], Bool[Array, "n"]]
 """Whether the robot can take the gripper frame through the k poses (world) of each of n ways, straight from one to the
 next: where the approach begins, the grasp, and the end of the way out."""
 
+CLEAR_ENOUGH = 0.9
+"""Share of the clearance that counts as it: the fields of the hand and of its way in differ by a tenth of a millimetre.
+"""
 COVERED = 0.02
 """An object cannot go where at least this share of it has something before it."""
 SWEPT_POINTS = 1000
@@ -128,7 +131,7 @@ def lifts(candidates: Candidates, way: Way) -> Bool[Array, "n"]:
     """Whether hand and object can go straight up. The hand counts as open as it came: closed it is no wider."""
     if way.is_covered:
         return np.zeros(len(candidates), dtype=bool)
-    return lift_clearance(candidates, way) >= way.clearance
+    return lift_clearance(candidates, way) >= CLEAR_ENOUGH * way.clearance
 
 
 def lift_clearance(candidates: Candidates, way: Way) -> Float[Array, "n"]:

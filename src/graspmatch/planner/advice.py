@@ -104,4 +104,4 @@ def _obstacles_beside(scene: Scene) -> str:
 
 
 def _listed(values: tuple[float, ...] | Float[np.ndarray, "n"]) -> str:
-    return "(" + ", ".join(f"{value:.3g}" for value in values) + ")"
+    return "(" + ", ".join(f"{round(float(value), 3) + 0.0:g}" for value in values) + ")"

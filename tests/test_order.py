@@ -62,6 +62,8 @@ def test_one_of_several_parts_may_stand_on_an_object():
     on = box_points((0.04, 0.04, 0.05), (0, 0, 0.087), 0.004)
     assert not is_stood_on(LOWER, beside, TABLE)
     assert is_stood_on(LOWER, np.concatenate([beside, on]), TABLE)
+    specks = np.random.default_rng(0).uniform([-0.04, -0.04, 0.065], [0.04, 0.04, 0.075], (6, 3))
+    assert not is_stood_on(LOWER, specks, TABLE)
 
 
 def test_columns_meet_what_is_before_the_object_within_its_way():

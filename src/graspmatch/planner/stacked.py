@@ -23,6 +23,8 @@ SHARE = 0.3
 """Of a foot, at least, must be near and inside."""
 SPACING = 0.006
 """About as far are the points of thinned clouds apart [m]: those of one thing are linked to each other."""
+FEWEST = 12
+"""Parts of fewer points, of 4 cm2, are specks of noise."""
 CELL = 0.008
 """Width of a column [m]: a little more than the points of thinned clouds are apart."""
 
@@ -58,7 +60,8 @@ def is_stood_on(thing: Float[Array, "n 3"], others: Float[Array, "m 3"], table: 
     if len(others) == 0:
         return False
     part = linked_parts(others, SPACING)
-    return any(stands_on(others[part == i], thing, table) for i in range(int(part.max()) + 1))
+    things = np.flatnonzero(np.bincount(part) >= FEWEST)
+    return any(stands_on(others[part == i], thing, table) for i in things)
 
 
 def covered_share(points: Float[Array, "n 3"], others: Float[Array, "m 3"], way: Float[Array, "3"]) -> float:

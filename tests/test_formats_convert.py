@@ -181,7 +181,7 @@ def test_a_plan_starts_from_poses_in_any_format(franka, tmp_path: Path, capsys: 
     np.save(tmp_path / "rows.npy", [[0.9, 0.03, 0.02, 0.02, 0, 1, 0, 0, 0, -1, -1, 0, 0, -0.033, 0, 0.1, -1]])
     starts = tmp_path / f"starts{suffix}"
     write_grasps(read_grasps(tmp_path / "rows.npy", franka), starts, franka)
-    words = ["--gripper", "franka_hand", "--device", "cpu", "--json", "--quiet", "--starts", str(starts)]
+    words = ["--gripper", "franka_hand", "--device", "cpu", "--json", "--quiet", "--seeds", str(starts)]
     assert main(["plan", str(tmp_path / "mug.stl"), *words]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["tally"]["candidates"] == 10  # the one pose with every preshape

@@ -43,7 +43,7 @@ def grasps_of(gripper: Gripper, n: int = 12) -> GraspSet:
         joint_names=gripper.joint_names,
         preshape_names=tuple(shape.name for shape in gripper.preshapes),
         T_world_gripper=T,
-        T_world_pregrasp=T @ se3.translation(-gripper.approach_distance * gripper.approach),
+        T_world_pregrasp=T @ gripper.T_gripper_pregrasp,
         preshape=preshape,
         pregrasp_joints=joints,
         grasp_joints=joints,
@@ -216,7 +216,7 @@ def test_a_plan_starts_from_graspnets_poses_and_writes_them(tmp_path: Path, caps
     rows = np.array([[0.9, 0.03, 0.02, 0.02, 0, 1, 0, 0, 0, -1, -1, 0, 0, -0.033, 0, 0.1, -1]])
     np.save(tmp_path / "starts.npy", rows)
     words = ["--gripper", "franka_hand", "--device", "cpu", "--json", "--quiet"]
-    words += ["--starts", str(tmp_path / "starts.npy"), "-o", str(tmp_path / "out.npy")]
+    words += ["--seeds", str(tmp_path / "starts.npy"), "-o", str(tmp_path / "out.npy")]
     assert main(["plan", str(tmp_path / "mug.stl"), *words]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["tally"]["candidates"] == 10  # the one pose with every preshape

@@ -19,11 +19,12 @@ from graspmatch.config import (
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid, interpolate
 from graspmatch.gripper.load import load_gripper
+from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space, wider_preshapes
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.close import contact_joints, first_crossing
 from graspmatch.planner.match import annealing, batch_share, match, prepare
-from graspmatch.planner.plan import UNSURE, advice, plan
+from graspmatch.planner.plan import plan
 from graspmatch.planner.rank import rank
 from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.tally import Tally

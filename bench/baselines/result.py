@@ -8,7 +8,6 @@ from importlib.metadata import version
 import numpy as np
 from jaxtyping import Float, Int
 
-from graspmatch.geometry import se3
 from graspmatch.types import GraspSet, Gripper, Provenance
 
 
@@ -38,12 +37,11 @@ def grasp_set(
     order = np.argsort(-score, kind="stable")
     T_world_gripper = T_world_gripper[order]
     touching = np.full(n, -1) if fingers_touching is None else fingers_touching
-    back = se3.translation(-gripper.approach_distance * gripper.approach)
     return GraspSet(
         joint_names=gripper.joint_names,
         preshape_names=tuple(shape.name for shape in gripper.preshapes),
         T_world_gripper=T_world_gripper,
-        T_world_pregrasp=T_world_gripper @ back,
+        T_world_pregrasp=T_world_gripper @ gripper.T_gripper_pregrasp,
         preshape=preshape[order],
         pregrasp_joints=pregrasp_joints[order],
         grasp_joints=grasp_joints[order],

@@ -13,8 +13,13 @@ if TYPE_CHECKING:
     from graspmatch.formats.registry import write_grasps as write_grasps
     from graspmatch.gripper.load import load_gripper as load_gripper
     from graspmatch.gripper.zoo import known_grippers as known_grippers
+    from graspmatch.planner.arm import Arm as Arm
+    from graspmatch.planner.order import plan_all as plan_all
     from graspmatch.planner.plan import plan as plan
+    from graspmatch.planner.waypoints import waypoints as waypoints
     from graspmatch.scene.camera import Camera as Camera
+    from graspmatch.scene.every import scenes_of_depth as scenes_of_depth
+    from graspmatch.scene.every import scenes_of_view as scenes_of_view
     from graspmatch.scene.scene import Scene as Scene
     from graspmatch.types import GraspSet as GraspSet
     from graspmatch.types import Gripper as Gripper
@@ -23,6 +28,7 @@ if TYPE_CHECKING:
 
 # Where the public names live: each arrives with its first use, so that the import itself loads NumPy only.
 _HOMES = {
+    "Arm": "graspmatch.planner.arm",
     "Camera": "graspmatch.scene.camera",
     "GraspSet": "graspmatch.types",
     "Gripper": "graspmatch.types",
@@ -33,7 +39,11 @@ _HOMES = {
     "known_grippers": "graspmatch.gripper.zoo",
     "load_gripper": "graspmatch.gripper.load",
     "plan": "graspmatch.planner.plan",
+    "plan_all": "graspmatch.planner.order",
     "read_grasps": "graspmatch.formats.registry",
+    "scenes_of_depth": "graspmatch.scene.every",
+    "scenes_of_view": "graspmatch.scene.every",
+    "waypoints": "graspmatch.planner.waypoints",
     "write_grasps": "graspmatch.formats.registry",
 }
 

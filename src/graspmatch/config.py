@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from graspmatch.errors import GraspmatchError
@@ -120,6 +120,21 @@ class ClosingConfig:
 
 
 @dataclass(frozen=True)
+class PathConfig:
+    """What the way of the hand must keep to, from where its approach begins to where the object is out."""
+
+    lift_height: float = 0.2
+    """After closing the hand goes straight up by so much [m]; where things are in the way of hand or object, it goes
+    back along its approach instead. 0: the way out is not looked at."""
+    workspace: tuple[float, float, float, float, float, float] | None = None
+    """Box that the whole hand stays in: least x, y, z and largest x, y, z [m], world frame."""
+    approach_along: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    """Middle of the directions in which hands may approach, world frame; by default from above."""
+    approach_angle: float = math.pi
+    """Largest angle between the approach and `approach_along` [rad]; by default every direction is allowed."""
+
+
+@dataclass(frozen=True)
 class GripConfig:
     """How the contacts of closed fingers are judged."""
 
@@ -202,6 +217,7 @@ class PlannerConfig:
     matching: MatchingConfig = field(default_factory=MatchingConfig)
     collision: CollisionConfig = field(default_factory=CollisionConfig)
     closing: ClosingConfig = field(default_factory=ClosingConfig)
+    path: PathConfig = field(default_factory=PathConfig)
     grip: GripConfig = field(default_factory=GripConfig)
     refining: RefiningConfig = field(default_factory=RefiningConfig)
     ranking: RankingConfig = field(default_factory=RankingConfig)
@@ -209,6 +225,19 @@ class PlannerConfig:
     """The one integer that all randomness comes from."""
     device: str = "auto"
     """`cpu`, `cuda:0`, or `auto`: CUDA where there is a device."""
+
+
+def fast(config: PlannerConfig) -> PlannerConfig:
+    """The same in a fraction of the time: half as many hands that start once, half as many trials, no refinement."""
+    few = max(config.seeding.points // 2, 1), config.seeding.above // 2
+    return replace(
+        config,
+        seeding=replace(config.seeding, points=few[0], above=few[1], batches=1),
+        grip=replace(
+            config.grip, finalists=config.grip.finalists // 2, first_trials=config.grip.first_trials // 2, leaders=0
+        ),
+        refining=replace(config.refining, count=0),
+    )
 
 
 @dataclass(frozen=True)
@@ -316,6 +345,8 @@ def check(config: PlannerConfig) -> None:
         ("collision.clearance", collision.clearance, 0, 0.02),
         ("collision.largest_retreat", collision.largest_retreat, 0, 0.15),
         ("closing.fewest_fingers", config.closing.fewest_fingers, 0, 100),
+        ("path.lift_height", config.path.lift_height, 0, 2),
+        ("path.approach_angle", config.path.approach_angle, 0, 3.1416),
         *(("grip.frictions", friction, 0, 10) for friction in config.grip.frictions),
         ("grip.torsional_friction", config.grip.torsional_friction, 0, 1),
         ("grip.mass", config.grip.mass, 0, 100),

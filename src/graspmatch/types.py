@@ -124,6 +124,13 @@ class Gripper:
         T[:3, :3] = np.stack([self.closing, np.cross(self.approach, self.closing), self.approach], axis=-1)
         return T
 
+    @property
+    def T_gripper_pregrasp(self) -> Float[Array, "4 4"]:
+        """Where the straight way in begins, as the hand at the grasp sees it."""
+        T = np.eye(4)
+        T[:3, 3] = -self.approach_distance * self.approach
+        return T
+
 
 @dataclass(frozen=True)
 class Provenance:

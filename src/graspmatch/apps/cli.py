@@ -65,19 +65,7 @@ def run(command: Parsed) -> int:
         from graspmatch.apps.convert import convert
 
         return convert(command, say)
-    return commands.plan_file(
-        command.input,
-        command.gripper,
-        command.config,
-        say,
-        description=command.description,
-        outputs=commands.Outputs(command.output, command.picture),
-        table=parse_table(command.table),
-        unit=command.unit,
-        obstacles=command.obstacles,
-        capture=command.capture,
-        starts=command.starts,
-    )
+    return commands.plan_command(command, parse_table(command.table), say)
 
 
 def parse_table(text: str) -> float | Literal["auto"] | None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -16,14 +16,19 @@ from rich.table import Table
 
 from graspmatch.apps import report
 from graspmatch.apps.capture import read_scene
-from graspmatch.apps.options import Capture
+from graspmatch.apps.options import Plan
+from graspmatch.apps.robot import arm_of
+from graspmatch.apps.seeds import Start, start_of
 from graspmatch.apps.speech import Speech
-from graspmatch.config import PlannerConfig
+from graspmatch.config import BakingConfig, PlannerConfig, check_ranges, fast
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import check_place, write_atomically
-from graspmatch.formats.registry import read_grasps, write_grasps, writer_of
+from graspmatch.formats.registry import write_grasps, writer_of
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspSet, Gripper
+
+if TYPE_CHECKING:
+    from graspmatch.planner.arm import Arm
 
 NOT_FOUND = 3
 """Exit status when there is no grasp."""
@@ -63,27 +68,29 @@ class Hand:
     """Driven joint values to the poses of `gripper.links` in the gripper frame."""
 
 
-def plan_file(
-    path: Path | None,
-    gripper_name: str,
-    config: PlannerConfig,
-    say: Speech,
-    *,
-    description: Path | None,
-    outputs: Outputs,
-    table: float | Literal["auto"] | None,
-    unit: Literal["auto", "m", "mm", "cm"],
-    obstacles: Path | None,
-    capture: Capture,
-    starts: Path | None,
-) -> int:
-    """Plan grasps for the object of a file, show and write them; the result is the exit status."""
+def plan_command(command: Plan, table: float | Literal["auto"] | None, say: Speech) -> int:
+    """Plan grasps for the object of a file, or all, show and write them; the result is the exit status."""
+    outputs = Outputs(command.output, command.picture)
     outputs.check()
+    config = fast(command.config) if command.fast else command.config
+    if command.all:
+        from graspmatch.apps.picking import plan_every
+
+        return plan_every(command, table, config, outputs, say)
     with say.progress("Reading the scene"):
-        scene = read_scene(path, capture, table=table, unit=unit, obstacles=obstacles)
-    hand = load_hand(gripper_name, description, config, say)
-    start_grasps = None if starts is None else read_grasps(starts, hand.gripper)
-    return plan_and_report(scene, hand, config, say, outputs, starts=start_grasps)
+        scene = read_scene(command.input, command.capture, table=table, unit=command.unit, obstacles=command.obstacles)
+    hand = hand_of(command, config, say)
+    start, arm = start_of(command.seeds, hand.gripper, config), arm_of(command.robot, hand.gripper)
+    return plan_and_report(scene, hand, start, say, outputs, arm=arm)
+
+
+def hand_of(command: Plan, config: PlannerConfig, say: Speech) -> Hand:
+    """The hand of a plan."""
+    baking = BakingConfig()
+    if command.approach_distance is not None:
+        check_ranges([("approach_distance", command.approach_distance, 0.01, 0.5)])
+        baking = replace(baking, approach_distance=command.approach_distance)
+    return load_hand(command.gripper, command.description, config, say, baking)
 
 
 def demo(folder: Path, config: PlannerConfig, say: Speech) -> int:
@@ -97,7 +104,7 @@ def demo(folder: Path, config: PlannerConfig, say: Speech) -> int:
         raise GraspmatchError(f"Cannot make the folder {folder}: {error.strerror}.") from error
     outputs.check()
     scene = Scene.from_mesh(mug())
-    return plan_and_report(scene, load_hand("franka_hand", None, config, say), config, say, outputs)
+    return plan_and_report(scene, load_hand("franka_hand", None, config, say), Start(config), say, outputs)
 
 
 def list_grippers(*, as_json: bool) -> int:
@@ -132,7 +139,9 @@ def list_grippers(*, as_json: bool) -> int:
     return 0
 
 
-def load_hand(name: str, description: Path | None, config: PlannerConfig, say: Speech) -> Hand:
+def load_hand(
+    name: str, description: Path | None, config: PlannerConfig, say: Speech, baking: BakingConfig | None = None
+) -> Hand:
     """The hand, once it is known that there is one of this name and a device to plan on."""
     from graspmatch.gripper import kinematics
     from graspmatch.gripper.load import load_gripper
@@ -142,23 +151,23 @@ def load_hand(name: str, description: Path | None, config: PlannerConfig, say: S
     card = card_path(name)
     resolve_device(config.device)
     with say.progress(f"Loading {name} (the first time, its preshapes are computed)"):
-        gripper = load_gripper(name, description=description)
+        gripper = load_gripper(name, description=description, baking=baking)
         model = kinematics.load_hand(card, description)
     return Hand(gripper, lambda joints: kinematics.pose_links(model, joints))
 
 
 def plan_and_report(
-    scene: Scene, hand: Hand, config: PlannerConfig, say: Speech, outputs: Outputs, *, starts: GraspSet | None = None
+    scene: Scene, hand: Hand, start: Start, say: Speech, outputs: Outputs, *, arm: Arm | None = None
 ) -> int:
     """Plan, write the files where there are grasps, show what came out; the result is the exit status."""
     from graspmatch.planner.plan import plan
+    from graspmatch.planner.waypoints import waypoints
 
     begin = time.perf_counter()
-    poses = None if starts is None else starts.T_world_gripper
     with say.progress("Planning (the first time, the kernels are compiled)"):
-        grasps = plan(scene, hand.gripper, config, starts_world_gripper=poses)
+        grasps = plan(scene, hand.gripper, start.config, starts_world_gripper=start.T_world_gripper, reach=arm)
     planned = f"Planned in {time.perf_counter() - begin:.2f} s on {grasps.provenance.device}"
-    for note in scene.notes:
+    for note in (*scene.notes, *start.notes):
         say.show(f"Note: {note}")
     if len(grasps):
         say.show(report.table_of_grasps(grasps, hand.gripper))
@@ -168,7 +177,8 @@ def plan_and_report(
         say.show(grasps.explain())
         say.show(f"{planned}; no file was written." if outputs.all else f"{planned}.")
     if say.as_json:
-        print(json.dumps(report.record_of_grasps(grasps, hand.gripper), allow_nan=False))
+        ways = waypoints(grasps, scene, hand.gripper, start.config, arm=arm)
+        print(json.dumps(report.record_of_grasps(grasps, hand.gripper, ways, arm), allow_nan=False))
     return 0 if len(grasps) else NOT_FOUND
 
 

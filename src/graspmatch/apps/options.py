@@ -40,6 +40,34 @@ class Capture:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Seeds:
+    """Where hands start, in place of the configured pattern."""
+
+    seeds: Path | None = None
+    """Grasps of this or another planner in any format, or a mixture of Gaussians (TOML); matching refines them."""
+    seeds_gripper: str | None = None
+    """Hand that they are of; none: that which the file names, or else --gripper."""
+    seeds_frame: Literal["base", "canonical"] = "base"
+    """What poses in YAML and TOML are of: the base link, or canonical (+z approach, +x closing) as GraspGen's."""
+    seeds_pose: str | None = None
+    """Pose in the world of the frame that they are in: a file, or x,y,z,qw,qx,qy,qz; none: they are in the world."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """The arm that has to get there."""
+
+    robot: Path | None = None
+    """URDF or MJCF file of the robot: grasps that its arm cannot reach and leave straight are dropped."""
+    robot_tip: str | None = None
+    """Link that the hand is mounted on; none: the hand's own base link, where the robot has it."""
+    robot_base: str | None = None
+    """T_world_base of the robot: a file, or x,y,z,qw,qx,qy,qz; none: the world is the robot's."""
+    robot_mount: str | None = None
+    """T_tip_gripper, how the hand is mounted: a file, or x,y,z,qw,qx,qy,qz; none: its base link is the tip."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """Plan grasps for an object; --method and --count are short for --matching.method and --ranking.count."""
 
@@ -60,8 +88,14 @@ class Plan:
     obstacles: Path | None = None
     """Point cloud that the hand must not touch, in the frame and unit of the input."""
     capture: Annotated[Capture, tyro.conf.arg(name="")] = field(default_factory=Capture)
-    starts: Path | None = None
-    """Grasps to start from in place of the configured seeds: a file of this or another planner in any format."""
+    all: bool = False
+    """Plan for every object of a capture, and say in which order to pick them."""
+    seeds: Annotated[Seeds, tyro.conf.arg(name="")] = field(default_factory=Seeds)
+    robot: Annotated[Robot, tyro.conf.arg(name="")] = field(default_factory=Robot)
+    approach_distance: float | None = None
+    """Length of the straight way in [m]; none: 0.15. The first time, the hand's fields are computed for it."""
+    fast: bool = False
+    """In a fraction of the time: hands start once, and the best grasps are not refined."""
     json: bool = False
     """Print one JSON object on stdout and everything else on stderr."""
     quiet: bool = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,10 @@ from rich import box
 from rich.table import Table
 
 from graspmatch.types import GraspSet, Gripper
+
+if TYPE_CHECKING:
+    from graspmatch.planner.arm import Arm
+    from graspmatch.planner.waypoints import Waypoints
 
 ROWS = 10
 """The table shows so many of the best grasps."""
@@ -49,7 +53,7 @@ def timing(seconds: dict[str, float]) -> str:
     return ", ".join(f"{stage} {time:.2f} s" for stage, time in seconds.items())
 
 
-def record_of_grasps(grasps: GraspSet, gripper: Gripper) -> dict[str, Any]:
+def record_of_grasps(grasps: GraspSet, gripper: Gripper, ways: Waypoints, arm: Arm | None = None) -> dict[str, Any]:
     """Everything about a grasp set in types that JSON has; unknown numbers are null."""
     provenance = dataclasses.asdict(grasps.provenance)
     provenance["config"] = json.loads(grasps.provenance.config)
@@ -57,7 +61,9 @@ def record_of_grasps(grasps: GraspSet, gripper: Gripper) -> dict[str, Any]:
         "gripper": gripper.name,
         "gripper_frame": gripper.base_link,
         "joint_names": list(grasps.joint_names),
-        "grasps": [_record_of_grasp(grasps, i) for i in range(len(grasps))],
+        "grasps": [
+            _record_of_grasp(grasps, i) | {"way": _record_of_way(ways, i, grasps, arm)} for i in range(len(grasps))
+        ],
         "tally": dict(grasps.tally),
         "explanation": grasps.explain(),
         "seconds": provenance.pop("seconds"),
@@ -80,6 +86,18 @@ def _record_of_grasp(grasps: GraspSet, i: int) -> dict[str, Any]:
         "loss": float(grasps.loss[i]),
         "fingers_touching": int(grasps.fingers_touching[i]),
     }
+
+
+def _record_of_way(ways: Waypoints, i: int, grasps: GraspSet, arm: Arm | None) -> list[dict[str, Any]]:
+    """The poses that the hand goes through, one after the other."""
+    steps = []
+    for k, name in enumerate(ways.names):
+        joints = dict(zip(grasps.joint_names, ways.joints[i, k].tolist(), strict=True))
+        step = {"name": name, "T_world_gripper": ways.T_world_gripper[i, k].tolist(), "joints": joints}
+        if arm is not None:
+            step["arm_joints"] = dict(zip(arm.joint_names, ways.arm_joints[i, k].tolist(), strict=True))
+        steps.append(step)
+    return steps
 
 
 def _numbers(values: Float[np.ndarray, "n"], width: int, decimals: int) -> str:

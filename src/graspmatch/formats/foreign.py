@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.jaw import fitting_preshape, openings
-from graspmatch.geometry import se3
 from graspmatch.types import GraspSet, Gripper, Provenance
 
 UNKNOWN = "unknown"
@@ -63,7 +62,7 @@ def foreign_grasps(found: Found, path: Path, gripper: Gripper | None) -> GraspSe
     preshape, pregrasp_joints = _preshape(found, joints, pregrasp_joints, gripper)
     T_world_pregrasp = np.full((n, 4, 4), np.nan) if found.T_world_pregrasp is None else found.T_world_pregrasp
     if gripper is not None:
-        straight = found.T_world_gripper @ se3.translation(-gripper.approach_distance * gripper.approach)
+        straight = found.T_world_gripper @ gripper.T_gripper_pregrasp
         T_world_pregrasp = np.where(np.isnan(T_world_pregrasp), straight, T_world_pregrasp)
     order = np.argsort(-found.score, kind="stable")  # unknown scores come last
     unknown = np.full(n, np.nan)

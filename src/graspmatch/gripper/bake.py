@@ -103,7 +103,7 @@ def bake_preshape(
         weights=weights,
         tool_centre_point=np.average(samples.points, axis=0, weights=weights),
         hand=field,
-        corridor=_corridor(field, np.array(card.approach), config),
+        corridor=corridor(field, np.array(card.approach), config),
         nearest_sample=np.asarray(KDTree(samples.points).query(nodes)[1], dtype=np.int32).reshape(shape),
         arrival=arrival,
         outline=outline,
@@ -170,7 +170,7 @@ def _arrival(stack, T_gripper_link: Float[np.ndarray, "k l 4 4"], links: list[in
     return out.numpy()
 
 
-def _corridor(hand: Grid, approach: Float[np.ndarray, "3"], config: BakingConfig) -> Grid:
+def corridor(hand: Grid, approach: Float[np.ndarray, "3"], config: BakingConfig) -> Grid:
     """The field of the hand's straight way in, on a grid that reaches back as far as the way does."""
     upper = hand.origin + hand.spacing * (np.array(hand.shape) - 1)
     back = -config.approach_distance * approach

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from graspmatch.config import BakingConfig
-from graspmatch.gripper.bake import bake_links, bake_preshape
+from graspmatch.gripper.bake import bake_links, bake_preshape, corridor
 from graspmatch.gripper.cache import read_gripper, write_gripper
 from graspmatch.gripper.card import preshape_joints
 from graspmatch.gripper.description import content_hash
@@ -38,9 +38,21 @@ def load_gripper(
     cached = read_gripper(key)
     if cached is not None:
         return replace(cached, description=hand.description.path)
-    gripper = bake_gripper(hand, content, baking)
+    usual = BakingConfig.approach_distance
+    if baking.approach_distance == usual:
+        gripper = bake_gripper(hand, content, baking)
+    else:  # only the fields of the way in are others
+        gripper = with_way_in(
+            load_gripper(name, description=description, baking=replace(baking, approach_distance=usual)), baking
+        )
     write_gripper(key, gripper)
     return gripper
+
+
+def with_way_in(gripper: Gripper, baking: BakingConfig) -> Gripper:
+    """The same hand with another length of the straight way in."""
+    preshapes = tuple(replace(p, corridor=corridor(p.hand, gripper.approach, baking)) for p in gripper.preshapes)
+    return replace(gripper, preshapes=preshapes, approach_distance=baking.approach_distance)
 
 
 def bake_gripper(hand: HandModel, content: str, baking: BakingConfig) -> Gripper:

@@ -9,7 +9,6 @@ import warp as wp
 from jaxtyping import Float, Int
 
 from graspmatch.config import CollisionConfig
-from graspmatch.geometry import se3
 from graspmatch.kernels.fields import BlockCloud, in_block_order, upload_blocks
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_avoid import back_off, least_distance
@@ -146,8 +145,7 @@ def point_retreat(
 
 def table_clearance_of_way(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
     """Height of hand and way in above the table [m]: the way is straight, so lowest at one of its ends."""
-    back = se3.translation(-space.gripper.approach_distance * space.gripper.approach)
-    start = Candidates(candidates.preshape, candidates.T_world_gripper @ back)
+    start = Candidates(candidates.preshape, candidates.T_world_gripper @ space.gripper.T_gripper_pregrasp)
     return np.minimum(table_clearance(candidates, space), table_clearance(start, space))
 
 

@@ -9,15 +9,15 @@ from importlib.metadata import version
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.config import CollisionConfig, PlannerConfig, RankingConfig, check
-from graspmatch.geometry import se3
-from graspmatch.geometry.cloud import narrowest_width
+from graspmatch.config import PathConfig, PlannerConfig, RankingConfig, check
 from graspmatch.kernels.launch import resolve_device
+from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Candidates, Graded
 from graspmatch.planner.close import close_fingers
 from graspmatch.planner.grade import foremost, stopped
 from graspmatch.planner.match import match, prepare
+from graspmatch.planner.path import Reach, aimed, keep_executable
 from graspmatch.planner.rank import rank
 from graspmatch.planner.refine import Judge, joined, judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
@@ -33,11 +33,14 @@ def plan(
     config: PlannerConfig | None = None,
     *,
     starts_world_gripper: Float[np.ndarray, "n 4 4"] | None = None,
+    reach: Reach | None = None,
 ) -> GraspSet:
     """Ranked grasps, best first, in the frame of the scene's input; an empty set explains itself.
 
     `starts_world_gripper` are poses to start from (another planner's, say) in place of the configured seeds; they are
     refined where they are, without the Stein phase.
+    `reach` says which ways the robot can go: a function of the poses (n, 3, 4, 4) of the gripper frame where n ways
+    begin, at their grasps and where they end, with n bools as its result; an `Arm` is one.
     Raises `GraspmatchError` for a device that is not there, and for a configuration that makes no sense.
     """
     config = config or PlannerConfig()
@@ -53,12 +56,12 @@ def plan(
         config = replace(config, matching=replace(config.matching, stein_iterations=0))
     problem = prepare(scene, gripper, config.matching, rng, device)
     space = upload_space(scene, gripper, device)
-    judge = judge_of(scene, gripper, space, problem, config, device)
+    judge = judge_of(scene, gripper, space, problem, config, device, reach)
     watch.lap("prepare")
     graded = None
     for _ in range(config.seeding.batches if starts_world_gripper is None else 1):
         if starts_world_gripper is None:
-            starts = seed_poses(scene, gripper, config.seeding, rng)
+            starts = aimed(seed_poses(scene, gripper, config.seeding, rng), judge.way, scene.centre_of_mass)
         else:
             starts = pose_seeds(starts_world_gripper, gripper)
         found = candidates_from(starts, judge, tally, watch, rng)
@@ -80,7 +83,7 @@ def plan(
         source=scene.source,
         seconds=watch.seconds,
     )
-    return grasp_set(graded, scene, gripper, tally, provenance)
+    return grasp_set(graded, scene, gripper, tally, provenance, config.path)
 
 
 def candidates_from(
@@ -94,6 +97,7 @@ def candidates_from(
     free = keep_free(matched, space, config.collision, tally)  # hand and approach sweep
     watch.lap("avoid")
     closed = close_fingers(free, space, config.closing, tally)  # contacts and joint values
+    closed = keep_executable(closed, judge.way, tally)  # directions, workspace, way out, reach
     watch.lap("close")
     count = max(config.grip.finalists, config.ranking.count)
     closed = foremost(closed, count, judge.trials, space, judge.target, config.grip, tally)
@@ -111,15 +115,15 @@ def grasp_set(
     gripper: Gripper,
     tally: Tally,
     provenance: Provenance,
+    path: PathConfig | None = None,
 ) -> GraspSet:
     """The result, in the order given."""
     pregrasp = np.array([preshape.joints for preshape in gripper.preshapes])
-    back = se3.translation(-gripper.approach_distance * gripper.approach)
     return GraspSet(
         joint_names=gripper.joint_names,
         preshape_names=tuple(preshape.name for preshape in gripper.preshapes),
         T_world_gripper=graded.T_world_gripper,
-        T_world_pregrasp=graded.T_world_gripper @ back,
+        T_world_pregrasp=graded.T_world_gripper @ gripper.T_gripper_pregrasp,
         preshape=graded.preshape,
         pregrasp_joints=pregrasp[graded.preshape],
         grasp_joints=graded.grasp_joints,
@@ -131,7 +135,7 @@ def grasp_set(
         fingers_touching=np.sum(graded.closing_fraction <= 1, axis=-1),
         tally=tally.counts,
         provenance=provenance,
-        advice="" if len(graded) else advice(tally, scene, gripper),
+        advice="" if len(graded) else advice(tally, scene, gripper, path),
     )
 
 
@@ -140,35 +144,3 @@ def least_confidence(scene: Scene, config: RankingConfig) -> float:
     if config.least_confidence is not None:
         return config.least_confidence
     return 0.3 if scene.mesh is not None else 0.0
-
-
-UNSURE = "unlikely to hold"
-
-
-def is_too_wide(width: float, gripper: Gripper) -> bool:
-    """Whether a width leaves no room beside it between the open fingers [m]."""
-    return width > gripper.opening - 2 * CollisionConfig().clearance
-
-
-def advice(tally: Tally, scene: Scene, gripper: Gripper) -> str:
-    """What would help: that the object is too wide, if it is, else by the reason that dropped most candidates."""
-    width = narrowest_width(scene.target.points)
-    if is_too_wide(width, gripper):
-        return (
-            f"The object is at least {1000 * width:.0f} mm wide in every direction; {gripper.name} opens "
-            f"{1000 * gripper.opening:.0f} mm wide and finds no part of it to hold."
-        )
-    reasons = {reason: count for reason, count in tally.counts.items() if reason != "candidates"}
-    worst = max(reasons, key=lambda reason: reasons[reason], default="")
-    if not reasons.get(worst):
-        return ""
-    hints = {
-        "in collision with the table": "The hand meets the table: is the table's height right, the object too flat?",
-        "in collision with object or obstacles on the way in": (
-            f"The hand does not fit around the object: {gripper.name} opens {gripper.opening * 1000:.0f} mm wide."
-        ),
-        "fingers that close on nothing": "The fingers do not reach the object: is its size in metres?",
-        "fingers stopped by the table or an obstacle": "The fingers meet the table or an obstacle before the object.",
-        UNSURE: "The object slips out of the fingers; ranking.least_confidence = 0 gives the grasps all the same.",
-    }
-    return hints.get(worst, "")

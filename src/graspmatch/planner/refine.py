@@ -15,6 +15,7 @@ from graspmatch.planner.close import contact_joints, meet_object
 from graspmatch.planner.grade import Trials, clear_share, draw_trials, grade, pooled
 from graspmatch.planner.hold import Touchable, touchable
 from graspmatch.planner.match import Problem, measure
+from graspmatch.planner.path import Reach, Way, is_executable, way_of
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper
@@ -33,6 +34,7 @@ class Judge:
     space: Space
     problem: Problem
     target: Touchable
+    way: Way
     trials: Trials
     config: PlannerConfig
     device: str
@@ -50,11 +52,18 @@ class Judge:
 
 
 def judge_of(
-    scene: Scene, gripper: Gripper, space: Space, problem: Problem, config: PlannerConfig, device: str
+    scene: Scene,
+    gripper: Gripper,
+    space: Space,
+    problem: Problem,
+    config: PlannerConfig,
+    device: str,
+    reach: Reach | None = None,
 ) -> Judge:
     """What judging needs, made once for a plan."""
     target = touchable(scene, config.grip.points, device)
-    return Judge(gripper, space, problem, target, draw_trials(config.grip, config.seed), config, device)
+    way = way_of(scene, space, config, reach)
+    return Judge(gripper, space, problem, target, way, draw_trials(config.grip, config.seed), config, device)
 
 
 def refine(graded: Graded, judge: Judge) -> Graded:
@@ -128,12 +137,13 @@ def neighbours(graded: Graded, scale: Float[Array, "n"], judge: Judge) -> tuple[
 
 
 def free_neighbours(tried: Graded, origin: Int[Array, "m"], judge: Judge) -> tuple[Free, Int[Array, "k"]]:
-    """Those whose hand and way in keep their clearance."""
+    """Those whose hand and way in keep their clearance, and that can go all of their way."""
     table = table_clearance_of_way(tried, judge.space)
     above = np.flatnonzero(table > CLEAR_ENOUGH * judge.config.collision.clearance)
     tried, origin, table = tried.select(above), origin[above], table[above]
     clearance = np.minimum(point_clearance(tried, judge.space), table)
     is_free = clearance > CLEAR_ENOUGH * judge.config.collision.clearance
+    is_free[is_free] = is_executable(tried.select(is_free), judge.way)
     free = replace(tried, clearance=clearance).select(is_free)
     return Free(**{entry.name: getattr(free, entry.name) for entry in fields(Free)}), origin[is_free]
 

@@ -48,7 +48,8 @@ def sample_gaussians(
     """Poses drawn from a mixture of Gaussians over positions and rotation vectors."""
     if not gaussians:
         raise GraspmatchError(
-            "The seeding pattern 'gaussians' needs SeedingConfig(gaussians=(PoseGaussian(...), ...)), given in Python."
+            "The seeding pattern 'gaussians' needs SeedingConfig(gaussians=(PoseGaussian(...), ...)) in Python, or a "
+            "file of them (--seeds mixture.toml)."
         )
     weight = np.array([gaussian.weight for gaussian in gaussians])
     norms = np.linalg.norm([gaussian.wxyz for gaussian in gaussians], axis=-1)

@@ -57,7 +57,7 @@ def camera_of(content: Mapping[str, Any], name: str) -> Camera:
 
 
 def read_pose(path: str | os.PathLike[str]) -> Float[Array, "4 4"]:
-    """`T_world_camera` of a file: a 4x4 matrix (NPY, NPZ, TXT, YAML, JSON), or position and orientation as of ROS."""
+    """A pose such as `T_world_camera`: a file of a 4x4 matrix (NPY, NPZ, TXT, YAML, JSON), or of a ROS pose."""
     content = _load(existing_file(path))
     name = Path(path).name
     if not isinstance(content, Mapping):
@@ -77,13 +77,13 @@ def read_pose(path: str | os.PathLike[str]) -> Float[Array, "4 4"]:
 
 
 def pose_of_numbers(values: Array) -> Float[Array, "4 4"]:
-    """`T_world_camera` of 16 or 12 numbers row by row, or of x y z [m] and the quaternion w x y z."""
+    """A pose of 16 or 12 numbers row by row, or of x y z [m] and the quaternion w x y z."""
     if values.size in (12, 16):
         return checked_pose(
             np.vstack([values.reshape(-1, 4)[:3], [0, 0, 0, 1]]) if values.size == 12 else values.reshape(4, 4)
         )
     if values.size != 7 or not np.isfinite(values).all() or abs(np.linalg.norm(values.ravel()[3:]) - 1) > 0.01:
-        raise GraspmatchError("The camera pose must be a 4x4 matrix, or x y z and a unit quaternion w x y z.")
+        raise GraspmatchError("A pose must be a 4x4 matrix, or x y z and a unit quaternion w x y z.")
     position, quaternion = values.ravel()[:3], values.ravel()[3:] / np.linalg.norm(values.ravel()[3:])
     return from_parts(matrix_from_quaternion(quaternion), position)
 

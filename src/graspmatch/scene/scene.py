@@ -152,7 +152,7 @@ class Scene:
         """
         view, plane = depth_view(depth, camera, table, metres_per_unit=metres_per_unit, correct=correct, up=up)
         target = target_of(view, plane, number=object, at=at, mask=mask)
-        return _view_scene(cls, view, target if table is not None else replace(target, table=None))
+        return view_scene(cls, view, target if table is not None else replace(target, table=None))
 
     @classmethod
     def from_view(
@@ -175,11 +175,11 @@ class Scene:
         that is in its camera's frame.
         """
         if not isinstance(view, View):
-            view = _cloud_view(view, unit, T_world_cloud, sensor_origin)
+            view = cloud_view(view, unit, T_world_cloud, sensor_origin)
         view = with_up(view, up)
         plane = plane_in_view(view, table, _metres(unit))
         target = target_of(view, plane, number=object, at=at, mask=mask)
-        return _view_scene(cls, view, target if table is not None else replace(target, table=None))
+        return view_scene(cls, view, target if table is not None else replace(target, table=None))
 
 
 def _mesh_scene(mesh: TriangleMesh, name: str, table: Table, unit: Unit, obstacles: object) -> Scene:
@@ -224,7 +224,8 @@ def _cloud_scene(
     )
 
 
-def _view_scene(cls: type[Scene], view: View, target: Target) -> Scene:
+def view_scene(cls: type[Scene], view: View, target: Target) -> Scene:
+    """The scene of one object of a view."""
     origin = None if view.origin is None else to_world(view, view.origin[None])[0]
     seen, _, spacing, notes = surface.cloud_surface(target.points, None, origin)
     return cls(
@@ -239,7 +240,8 @@ def _view_scene(cls: type[Scene], view: View, target: Target) -> Scene:
     )
 
 
-def _cloud_view(cloud: object, unit: Unit, T_world_cloud: Array | None, sensor_origin: object) -> View:
+def cloud_view(cloud: object, unit: Unit, T_world_cloud: Array | None, sensor_origin: object) -> View:
+    """The view of a cloud of a whole scene: a file or an array."""
     if isinstance(cloud, np.ndarray) and cloud.ndim == 3:
         content, name = CloudFile(cloud), "array"
     else:

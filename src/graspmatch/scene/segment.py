@@ -32,6 +32,8 @@ LOWEST_OBJECT = 0.006
 """Things that rise less above the table [m] are ripples of the depth."""
 LARGEST = 0.7
 """Things longer than this [m] are walls, screens or people."""
+LISTED = 10
+"""A line of text names so many objects."""
 BESIDE = 0.03
 """Things reach so far over the edge of the table [m]."""
 ON_TABLE = 0.3
@@ -66,7 +68,9 @@ class Segmentation:
         sizes = [" x ".join(f"{1000 * side:.0f}" for side in extent) for extent in self.extents]
         places = [", ".join(f"{value:.3f}" for value in centre) for centre in self.centres]
         each = zip(self.numbers, sizes, places, strict=True)
-        return "; ".join(f"{number}: {size} mm at ({place})" for number, size, place in each) or "none"
+        listed = [f"{number}: {size} mm at ({place})" for number, size, place in each]
+        more = [f"and {len(listed) - LISTED} more"] if len(listed) > LISTED else []
+        return "; ".join(listed[:LISTED] + more) or "none"
 
 
 def segment(view: View, *, table: Plane | None = None) -> Segmentation:

@@ -13,10 +13,12 @@ from graspmatch.scene.depth_file import read_mask
 from graspmatch.scene.pick import choose, segment_by_mask
 from graspmatch.scene.segment import OTHER, Segmentation, segment
 from graspmatch.scene.view import View, to_world
-from graspmatch.types import Plane
+from graspmatch.types import GraspmatchError, Plane
 
 Array = np.ndarray
 
+NEAREST, FARTHEST = 0.15, 3.0
+"""Median distances [m] between which nobody asks whether a table is so far away."""
 SURROUNDINGS = 0.4
 """Things farther from the target than this [m] are in nobody's way."""
 
@@ -41,13 +43,40 @@ def target_of(
     mask: str | os.PathLike[str] | Array | None = None,
 ) -> Target:
     """The object of a number, at a place or under a mask; `table` is in the view frame, None to find it."""
-    if mask is None:
-        found = segment(view, table=table)
-    else:
-        marked = mask if isinstance(mask, np.ndarray) else read_mask(mask)
-        found = segment_by_mask(view, marked, table=table)
+    found = _segmented(view, table, mask)
     index = choose(view, found, number=number, at=at)
     return cut_out(view, found, index, notes=_notes(found, index, is_chosen=number is not None or at is not None))
+
+
+def targets_of(
+    view: View, table: Plane | None = None, *, mask: str | os.PathLike[str] | Array | None = None
+) -> dict[int, Target]:
+    """Every object of a view by its number, each with all others as obstacles."""
+    found = _segmented(view, table, mask)
+    notes = _notes(found, 0, is_chosen=True)
+    return {int(number): cut_out(view, found, index, notes=notes) for index, number in enumerate(found.numbers)}
+
+
+def _segmented(view: View, table: Plane | None, mask: str | os.PathLike[str] | Array | None) -> Segmentation:
+    """The objects of a view, or those that a mask marks."""
+    if mask is None:
+        try:
+            return segment(view, table=table)
+        except GraspmatchError as error:
+            raise GraspmatchError(f"{error}{_doubt(view)}") from error
+    marked = mask if isinstance(mask, np.ndarray) else read_mask(mask)
+    return segment_by_mask(view, marked, table=table)
+
+
+def _doubt(view: View) -> str:
+    """A question where what was seen is as near or as far as no table with things to grasp on it."""
+    if view.origin is None:
+        return ""
+    seen = view.points[view.is_seen]
+    away = float(np.median(np.linalg.norm(seen[:: max(len(seen) // 5000, 1)] - view.origin, axis=1)))
+    if NEAREST < away < FARTHEST:
+        return ""
+    return f" What is seen is {away:.2g} m away: is the unit right (--depth-scale, --unit)?"
 
 
 def cut_out(view: View, found: Segmentation, index: int, *, notes: tuple[str, ...] = ()) -> Target:

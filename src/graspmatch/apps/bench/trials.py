@@ -121,7 +121,7 @@ def run_trials(jobs: Iterable[Job], *, processes: int) -> Iterator[Trial]:
 
 def run_trial(job: Job) -> Trial:
     """Settle, place, plan, lift."""
-    from graspmatch.planner.plan import is_too_wide
+    from graspmatch.planner.advice import is_too_wide
     from graspmatch.simulate.judge import try_grasp
 
     settled, world, gripper = stage(job.source, job.gripper, job.description, job.config.lift)

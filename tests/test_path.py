@@ -233,7 +233,7 @@ def test_another_length_of_the_way_in_gives_the_same_hand_with_other_corridors(t
         (LOADED, "Pick that first"),
         (BLOCKED, "path.lift_height"),
         (OUT_OF_REACH, "--robot-base"),
-        ("more likely to fail than to hold", "ranking.least_confidence"),
+        ("unlikely to hold", "ranking.least_confidence"),
     ],
 )
 def test_advice_is_about_the_stage_that_the_last_candidates_fell_at(toy, reason, expected):

@@ -17,7 +17,8 @@ from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Candidates, Graded
 from graspmatch.planner.close import close_fingers
 from graspmatch.planner.grade import foremost, stopped
-from graspmatch.planner.match import match, prepare
+from graspmatch.planner.match import match, prepare, terms_of
+from graspmatch.planner.pinch import pinch_seeds
 from graspmatch.planner.rank import rank
 from graspmatch.planner.refine import Judge, joined, judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
@@ -56,12 +57,13 @@ def plan(
     judge = judge_of(scene, gripper, space, problem, config, device)
     watch.lap("prepare")
     graded = None
-    for _ in range(config.seeding.batches if starts_world_gripper is None else 1):
-        if starts_world_gripper is None:
-            starts = seed_poses(scene, gripper, config.seeding, rng)
-        else:
+    for batch in range(config.seeding.batches if starts_world_gripper is None else 1):
+        tips = pinch_seeds(scene, gripper, config.seeding, rng) if batch % 2 else []
+        if starts_world_gripper is not None:
             starts = pose_seeds(starts_world_gripper, gripper)
-        found = candidates_from(starts, judge, tally, watch, rng)
+        else:
+            starts = tips or seed_poses(scene, gripper, config.seeding, rng)
+        found = candidates_from(starts, for_tips(judge) if tips else judge, tally, watch, rng)
         graded = found if graded is None else joined(graded, found)
         if graded.confidence.max(initial=0.0) >= config.refining.enough:
             break
@@ -89,7 +91,8 @@ def candidates_from(
     """All that becomes of some starts, graded and refined."""
     gripper, config, space = judge.gripper, judge.config, judge.space
     tally.add("candidates", len(starts))
-    matched = match(starts, judge.problem, config.matching, rng)  # Algorithm 1 of the paper
+    problem = replace(judge.problem, terms=terms_of(config.matching))
+    matched = match(starts, problem, config.matching, rng)  # Algorithm 1 of the paper
     watch.lap("match")
     free = keep_free(matched, space, config.collision, tally)  # hand and approach sweep
     watch.lap("avoid")
@@ -103,6 +106,12 @@ def candidates_from(
     graded = refine(graded, judge)
     watch.lap("refine")
     return graded
+
+
+def for_tips(judge: Judge) -> Judge:
+    """The same, but that fingertips are matched where they start: not scattered, nor drawn to the centre of mass."""
+    matching = replace(judge.config.matching, stein_iterations=0, com_weight=0.0)
+    return replace(judge, config=replace(judge.config, matching=matching))
 
 
 def grasp_set(

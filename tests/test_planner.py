@@ -25,7 +25,7 @@ from graspmatch.planner.close import contact_joints, first_crossing
 from graspmatch.planner.match import annealing, batch_share, match, prepare
 from graspmatch.planner.plan import UNSURE, advice, plan
 from graspmatch.planner.rank import rank
-from graspmatch.planner.seed import pose_seeds, seed_poses
+from graspmatch.planner.seed import asked_for, pose_seeds, seed_poses
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene, Table
 from graspmatch.scene.shapes import mug
@@ -148,7 +148,7 @@ def test_schedules_are_those_of_table_1():
 def test_seeds_face_the_centre_of_mass_from_the_robots_side(toy):
     scene = box_scene()
     starts = seed_poses(scene, toy, SeedingConfig(), np.random.default_rng(0))
-    assert 25 <= len(starts) / len(toy.preshapes) <= 34  # Table I: about (100 - 6) / 4 + 6
+    assert 25 <= len(starts) / len(asked_for(toy)) <= 34  # Table I: about (100 - 6) / 4 + 6
     approach = starts.T_world_gripper[:, :3, :3] @ toy.approach
     tcp = np.array([p.tool_centre_point for p in toy.preshapes])[starts.preshape]
     reach = starts.T_world_gripper[:, :3, 3] + np.einsum("nij,nj->ni", starts.T_world_gripper[:, :3, :3], tcp)
@@ -157,7 +157,7 @@ def test_seeds_face_the_centre_of_mass_from_the_robots_side(toy):
     assert np.all(approach[:, 2] < 0)
     assert np.all(approach[:, 0] > -1e-9)  # the robot is at -x
     straight_down = np.isclose(approach[:, 2], -1)
-    assert straight_down.sum() == 6 * len(toy.preshapes)
+    assert straight_down.sum() == 6 * len(asked_for(toy))
 
 
 def test_gaussian_seeds_have_the_mean_and_spread_asked_for(toy):
@@ -272,7 +272,10 @@ def test_hand_above_the_table_by_its_lowest_corner(toy):
 
 
 def test_wider_preshape_is_the_next_one_open(toy):
-    assert wider_preshapes(toy).tolist() == [-1, 0, 1]
+    names = [preshape.name for preshape in toy.preshapes]
+    tips = ["fingertips_48mm", "fingertips_24mm", "fingertips_12mm"]
+    assert names == ["close_0", "close_30", "close_60", *tips]
+    assert wider_preshapes(toy).tolist() == [-1, 0, 1, 0, 1, 2]
 
 
 def test_fingers_that_share_a_drive_stop_at_the_mean_of_their_contacts(toy):
@@ -343,7 +346,7 @@ def test_starting_poses_of_the_user_are_refined(toy):
     scene = box_scene()
     T = se3.from_parts(np.diag([1.0, -1.0, -1.0]), scene.centre_of_mass + np.array([0.01, 0.005, 0.1]))
     grasps = plan(scene, toy, SMALL, starts_world_gripper=T[None])
-    assert grasps.tally["candidates"] == len(toy.preshapes)
+    assert grasps.tally["candidates"] == len(asked_for(toy))
     assert len(grasps) > 0, grasps.explain()
     assert grasps.T_world_gripper[0, 2, 2] < -0.5  # still from above
 

@@ -23,6 +23,8 @@ TIP = 0.25
 """Share of a finger's reach that is its tip."""
 TIP_SAMPLES = 5
 """So many samples, at least, along a tip."""
+WIDEST_GAP = 0.8
+"""Between fingertips, as a share of that of the widest posture that the card asks for."""
 EVENNESS = 0.3
 """What it costs to leave the work to a few fingers, beside a cost of one for a force that is not balanced."""
 CLOSING_STEPS = 33
@@ -134,7 +136,8 @@ def tip_weights(
 def _pinching(
     group: Sequence[Posture], tips: Tips, hand: HandModel, fields: Sequence[Grid], *, is_only: bool
 ) -> list[Posture]:
-    """Postures on the way from the widest of a group to tips that meet, evenly spread over the gap between the tips."""
+    """Postures on the way from the widest of a group to tips that meet: the gap between the tips halves from one to the
+    next, since the less fingers have to close, the less their tips leave the place where they are wanted."""
     count = hand.card.preshapes.fingertips
     widest = group[int(np.argmax([_spread(tip_places(posture.joints, tips, hand)) for posture in group]))]
     closed = closing_target(hand, widest.joints)
@@ -146,7 +149,7 @@ def _pinching(
         return []
     open_by = places[: meeting + 1] - places[meeting]
     gap = 2 * np.linalg.norm(open_by, axis=-1).mean(axis=-1)
-    wanted = gap[0] * (np.arange(count) + 0.5) / count
+    wanted = gap[0] * WIDEST_GAP / 2.0 ** np.arange(count)
     fractions = np.interp(-wanted, -gap, np.linspace(0, 1, CLOSING_STEPS)[: meeting + 1])
     prefix = "" if is_only else f"{widest.name}_"
     return [
@@ -170,7 +173,9 @@ def balanced_shares(open_by: Float[Array, "f 3"]) -> Float[Array, "f"]:
 def tip_places(joints: Float[Array, "d"], tips: Tips, hand: HandModel) -> Float[Array, "f 3"]:
     """Where the tips of a posture are [m]."""
     T_gripper_link = pose_links(hand, joints)
-    return np.stack([se3.apply(T_gripper_link[i], tip[None])[0] for i, tip in zip(tips.tip_link, tips.tip, strict=True)])
+    return np.stack(
+        [se3.apply(T_gripper_link[i], tip[None])[0] for i, tip in zip(tips.tip_link, tips.tip, strict=True)]
+    )
 
 
 def _tips_touch(joints: Float[Array, "d"], tips: Tips, hand: HandModel, fields: Sequence[Grid]) -> bool:

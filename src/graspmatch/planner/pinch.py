@@ -71,8 +71,8 @@ def gap_of(preshape: Preshape, gripper: Gripper) -> float:
 
 
 def opposite_points(scene: Scene, count: int, widest: float, rng: np.random.Generator) -> Pairs:
-    """Pairs of points whose normals are against each other, at most `widest` apart [m]: so many, drawn from all that are
-    found, or none."""
+    """Pairs of points whose normals are against each other, at most `widest` apart [m]: so many, drawn from all that
+    there are; none where there is none."""
     normals = scene.target.normals
     assert normals is not None  # every scene estimates them
     some = rng.permutation(len(normals))[:SECOND]

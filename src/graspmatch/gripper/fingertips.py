@@ -23,8 +23,6 @@ TIP = 0.25
 """Share of a finger's reach that is its tip."""
 TIP_SAMPLES = 5
 """So many samples, at least, along a tip."""
-WIDEST_GAP = 0.8
-"""Between fingertips, as a share of that of the widest posture that the card asks for."""
 EVENNESS = 0.3
 """What it costs to leave the work to a few fingers, beside a cost of one for a force that is not balanced."""
 CLOSING_STEPS = 33
@@ -136,8 +134,8 @@ def tip_weights(
 def _pinching(
     group: Sequence[Posture], tips: Tips, hand: HandModel, fields: Sequence[Grid], *, is_only: bool
 ) -> list[Posture]:
-    """Postures on the way from the widest of a group to tips that meet: the gap between the tips halves from one to the
-    next, since the less fingers have to close, the less their tips leave the place where they are wanted."""
+    """The widest posture of a group, and others on the way to tips that meet: the gap between the tips halves from one
+    to the next, since the less fingers have to close, the less their tips leave the place where they are wanted."""
     count = hand.card.preshapes.fingertips
     widest = group[int(np.argmax([_spread(tip_places(posture.joints, tips, hand)) for posture in group]))]
     closed = closing_target(hand, widest.joints)
@@ -149,7 +147,7 @@ def _pinching(
         return []
     open_by = places[: meeting + 1] - places[meeting]
     gap = 2 * np.linalg.norm(open_by, axis=-1).mean(axis=-1)
-    wanted = gap[0] * WIDEST_GAP / 2.0 ** np.arange(count)
+    wanted = gap[0] / 2.0 ** np.arange(count)
     fractions = np.interp(-wanted, -gap, np.linspace(0, 1, CLOSING_STEPS)[: meeting + 1])
     prefix = "" if is_only else f"{widest.name}_"
     return [

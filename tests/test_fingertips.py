@@ -73,7 +73,7 @@ def test_card_says_how_many_fingertip_preshapes_there_are(tmp_path, monkeypatch)
     monkeypatch.setenv("GRASPMATCH_CACHE", str(tmp_path / "cache"))
     none = CARD.replace("steps = 3", "steps = 1\nfingertips = 0")
     assert not tips_of(load_gripper(write_toy(tmp_path, none), baking=COARSE))
-    with pytest.raises(GraspmatchError, match="fingertips is 1.5; it must be a whole number"):
+    with pytest.raises(GraspmatchError, match=r"fingertips is 1\.5; it must be a whole number"):
         read_card(write_toy(tmp_path, CARD.replace("steps = 3", "fingertips = 1.5")))
 
 

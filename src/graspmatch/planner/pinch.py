@@ -67,7 +67,8 @@ def graded_as(gripper: Gripper) -> Int[Array, "p"]:
     """For each preshape the one whose loss its grasps are graded by: itself, or for fingertips that most like it which
     the card asks for. The confidence is fitted to losses of whole hands."""
     asked = asked_for(gripper)
-    joints = np.array([preshape.joints for preshape in gripper.preshapes])
+    closes = np.isin(np.arange(len(gripper.joint_names)), [j for finger in gripper.fingers for j in finger.joints])
+    joints = np.array([preshape.joints for preshape in gripper.preshapes]) * np.where(closes, 1.0, 1e3)  # spread first
     nearest = asked[np.argmin(np.linalg.norm(joints[:, None] - joints[asked], axis=-1), axis=1)]
     return np.where([preshape.is_fingertips for preshape in gripper.preshapes], nearest, np.arange(len(joints)))
 

@@ -18,6 +18,7 @@ from graspmatch.config import PlannerConfig, SeedingConfig
 from graspmatch.geometry.sphere import fibonacci_directions
 from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.plan import plan
+from graspmatch.planner.seed import asked_for
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, PointCloud
 from setting import RESULTS
@@ -40,13 +41,14 @@ def ellipsoid(points: int) -> Scene:
 
 
 def with_preshapes(gripper: Gripper, count: int) -> Gripper:
-    """The hand with so many preshapes: its own, over and over."""
-    return replace(gripper, preshapes=tuple(itertools.islice(itertools.cycle(gripper.preshapes), count)))
+    """The hand with so many preshapes: those that its card asks for, over and over."""
+    own = [gripper.preshapes[i] for i in asked_for(gripper)]
+    return replace(gripper, preshapes=tuple(itertools.islice(itertools.cycle(own), count)))
 
 
 def with_particles(gripper: Gripper, count: int) -> SeedingConfig:
     """About so many particles over all preshapes."""
-    return SeedingConfig(pattern="sphere", points=max(round(count / len(gripper.preshapes)) - 6, 1))
+    return SeedingConfig(pattern="sphere", points=max(round(count / len(asked_for(gripper))) - 6, 1))
 
 
 def cases(gripper: Gripper, most_particles: int) -> dict[str, dict[int, Callable[[int], dict[str, float]]]]:

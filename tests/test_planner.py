@@ -26,7 +26,7 @@ from graspmatch.planner.close import contact_joints, first_crossing
 from graspmatch.planner.match import annealing, batch_share, match, prepare
 from graspmatch.planner.plan import plan
 from graspmatch.planner.rank import rank
-from graspmatch.planner.seed import pose_seeds, seed_poses
+from graspmatch.planner.seed import asked_for, pose_seeds, seed_poses
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene, Table
 from graspmatch.scene.shapes import mug
@@ -149,7 +149,7 @@ def test_schedules_are_those_of_table_1():
 def test_seeds_face_the_centre_of_mass_from_the_robots_side(toy):
     scene = box_scene()
     starts = seed_poses(scene, toy, SeedingConfig(), np.random.default_rng(0))
-    assert 25 <= len(starts) / len(toy.preshapes) <= 34  # Table I: about (100 - 6) / 4 + 6
+    assert 25 <= len(starts) / len(asked_for(toy)) <= 34  # Table I: about (100 - 6) / 4 + 6
     approach = starts.T_world_gripper[:, :3, :3] @ toy.approach
     tcp = np.array([p.tool_centre_point for p in toy.preshapes])[starts.preshape]
     reach = starts.T_world_gripper[:, :3, 3] + np.einsum("nij,nj->ni", starts.T_world_gripper[:, :3, :3], tcp)
@@ -158,7 +158,7 @@ def test_seeds_face_the_centre_of_mass_from_the_robots_side(toy):
     assert np.all(approach[:, 2] < 0)
     assert np.all(approach[:, 0] > -1e-9)  # the robot is at -x
     straight_down = np.isclose(approach[:, 2], -1)
-    assert straight_down.sum() == 6 * len(toy.preshapes)
+    assert straight_down.sum() == 6 * len(asked_for(toy))
 
 
 def test_gaussian_seeds_have_the_mean_and_spread_asked_for(toy):
@@ -179,7 +179,7 @@ def test_grasps_hold_the_box_between_the_fingers_and_miss_nothing(toy):
     grasps = plan(scene, toy, replace(SMALL, ranking=RankingConfig(least_confidence=0.5)))
     assert len(grasps) > 0, grasps.explain()
     gap = 0.06 - 2 * grasps.grasp_joints[:, 0]  # at the end, the box turned flush where the hand came obliquely
-    assert np.median(np.abs(gap - 0.03)) < 0.003  # a node of the coarse fields
+    assert np.median(np.abs(gap - 0.03)) < COARSE.grid_spacing
     assert gap.min() > 0.026
     assert np.all(grasps.fingers_touching == 2)
 
@@ -273,7 +273,10 @@ def test_hand_above_the_table_by_its_lowest_corner(toy):
 
 
 def test_wider_preshape_is_the_next_one_open(toy):
-    assert wider_preshapes(toy).tolist() == [-1, 0, 1]
+    names = [preshape.name for preshape in toy.preshapes]
+    tips = ["fingertips_60mm", "fingertips_30mm", "fingertips_15mm"]
+    assert names == ["close_0", "close_30", "close_60", *tips]
+    assert wider_preshapes(toy).tolist() == [-1, 0, 1, -1, 1, 2]
 
 
 def test_fingers_that_share_a_drive_stop_at_the_mean_of_their_contacts(toy):
@@ -344,7 +347,7 @@ def test_starting_poses_of_the_user_are_refined(toy):
     scene = box_scene()
     T = se3.from_parts(np.diag([1.0, -1.0, -1.0]), scene.centre_of_mass + np.array([0.01, 0.005, 0.1]))
     grasps = plan(scene, toy, SMALL, starts_world_gripper=T[None])
-    assert grasps.tally["candidates"] == len(toy.preshapes)
+    assert grasps.tally["candidates"] == len(asked_for(toy))
     assert len(grasps) > 0, grasps.explain()
     assert grasps.T_world_gripper[0, 2, 2] < -0.5  # still from above
 
@@ -367,7 +370,8 @@ def test_without_a_table_the_hand_comes_from_the_sensors_side(toy):
     grasps = plan(Scene.from_cloud(cloud, sensor_origin=[0.0, 0.0, 0.0]), toy, SMALL)
     assert len(grasps) > 0
     approach = grasps.T_world_gripper[:, :3, :3] @ toy.approach
-    assert np.mean(approach[:, 2] > 0) > 0.7  # matching may turn a hand around the object's edge
+    assert np.mean(approach[:, 2]) > 0.25  # matching may turn a hand around the object's edge
+    assert approach[0, 2] > 0
     assert approach[0, 2] > 0.5
 
 

@@ -21,6 +21,7 @@ from graspmatch.geometry.cloud import voxel_downsample
 from graspmatch.geometry.se3 import quaternion_from_matrix
 from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.match import target_spacing
+from graspmatch.planner.seed import asked_for
 from graspmatch.planner.thin import thinned
 from graspmatch.planner.upload import inverse_inertia
 from graspmatch.scene.scene import Scene
@@ -126,8 +127,9 @@ def torch_prepare(
 
 @lru_cache(maxsize=4)
 def torch_hand(gripper: Gripper, device: str) -> Hand:
-    """Samples, fields and outlines of all preshapes, uploaded once per gripper and device, and kept."""
-    preshapes = gripper.preshapes
+    """Samples, fields and outlines of the preshapes that the card asks for, which come first, uploaded once per gripper
+    and device, and kept."""
+    preshapes = [gripper.preshapes[i] for i in asked_for(gripper)]
     pivots = [preshape.tool_centre_point for preshape in preshapes]
     samples = [p.samples.points - p.tool_centre_point for p in preshapes]
     outline = padded([p.outline - p.tool_centre_point for p in preshapes], np.nan)

@@ -54,8 +54,11 @@ class SeedingConfig:
     """Fibonacci points on the full sphere; `quarter` keeps a quarter of them: (100 - 6) / 4 in Table I."""
     above: int = 6
     """Seeds straight above the object, at evenly spread turns of the hand."""
+    fingertips: int = 240
+    """Seeds of the fingertips, at opposite points of the surface; 0: none."""
     batches: int = 3
-    """So many times at most hands are started anew while no grasp is as sure as `refining.enough`."""
+    """So many times at most hands are started anew while no grasp is as sure as `refining.enough`, every second time
+    the fingertips alone."""
     robot_direction: tuple[float, float, float] = (-1.0, 0.0, 0.0)
     """Horizontal direction from the object towards the robot, world frame."""
     gaussians: tuple[PoseGaussian, ...] = ()
@@ -328,6 +331,7 @@ def check(config: PlannerConfig) -> None:
         ("seed", config.seed, 0, math.inf),
         ("seeding.points", seeding.points, 0, 1e6),
         ("seeding.above", seeding.above, 0, 1e6),
+        ("seeding.fingertips", seeding.fingertips, 0, 1e6),
         ("seeding.batches", seeding.batches, 1, 1000),
         ("matching.iterations", matching.iterations, 0, 1e6),
         ("matching.stein_iterations", matching.stein_iterations, 0, 1e6),

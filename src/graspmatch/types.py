@@ -62,8 +62,10 @@ class Preshape:
     name: str
     joints: Float[Array, "d"]
     """Driven joint values."""
+    is_fingertips: bool
+    """Whether the fingertips alone hold: for thin, flat and small things."""
     samples: PointCloud
-    """S: samples of the inner surface, with normals."""
+    """S: samples of the inner surface, with normals; those without weight last."""
     weights: Float[Array, "n"]
     """Weight of each sample in the matching error; their mean is one."""
     tool_centre_point: Float[Array, "3"]

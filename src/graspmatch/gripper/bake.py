@@ -15,13 +15,13 @@ from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid
 from graspmatch.geometry.mesh import TriangleMesh, concatenate, transformed
-from graspmatch.gripper.card import Card
+from graspmatch.gripper.fingertips import TIP_SAMPLES, Posture, closing_target, find_tips, tip_weights
 from graspmatch.gripper.kinematics import HandModel, pose_links
 from graspmatch.gripper.samples import inner_surface
 from graspmatch.kernels import warp_bake
 from graspmatch.kernels.fields import stack_fields
 from graspmatch.kernels.launch import launch
-from graspmatch.types import Finger, Link, Preshape
+from graspmatch.types import Finger, GraspmatchError, Link, PointCloud, Preshape
 
 DEVICE = "cpu"
 """Baking happens once per hand and is cached: it need not be fast."""
@@ -70,16 +70,19 @@ def bake_preshape(
     hand: HandModel,
     baked: BakedLinks,
     fingers: tuple[Finger, ...],
-    name: str,
-    joints: Float[np.ndarray, "d"],
-    closed: Float[np.ndarray, "d"],
+    posture: Posture,
     config: BakingConfig,
-) -> Preshape:
-    """All fields and samples of the posture `joints` (driven values), which closes towards `closed`."""
+) -> Preshape | None:
+    """All fields and samples of a posture; none of fingertips that cannot be seen from between the fingers."""
     card = hand.card
-    T_gripper_link = closing_motion(hand, baked, joints, closed, config)
+    T_gripper_link = closing_motion(hand, baked, posture.joints, closing_target(hand, posture.joints), config)
     steps = len(T_gripper_link)
-    samples = _samples(card, baked.links, T_gripper_link[0])
+    try:
+        samples, weights = _weighted_samples(hand, baked, posture, T_gripper_link[0])
+    except GraspmatchError:
+        if posture.finger_shares is None:
+            raise
+        return None  # tips that nearly touch can hide each other: nobody asked for this posture by name
     outline = _posed_corners(baked.hulls, T_gripper_link[0], range(len(baked.links)))
     moving = [_link_indices(baked.links, finger.links) for finger in fingers]
     outlines = tuple(
@@ -91,14 +94,15 @@ def bake_preshape(
     origin, shape = grids.covering(
         everything.min(axis=0) - config.margin, everything.max(axis=0) + config.margin, spacing
     )
+    origin = ending_between_nodes(origin, spacing, everything, card.approach)
     nodes = grids.node_positions(origin, spacing, shape)
     stack = stack_fields(baked.fields, DEVICE)
     field = Grid(origin, spacing, _hand_distance(stack, T_gripper_link[0], nodes).reshape(shape))
     arrival = np.stack([_arrival(stack, T_gripper_link, links, nodes).reshape(shape) for links in moving])
-    weights = np.ones(len(samples.points))
     return Preshape(
-        name=name,
-        joints=joints,
+        name=posture.name,
+        joints=posture.joints,
+        is_fingertips=posture.finger_shares is not None,
         samples=samples,
         weights=weights,
         tool_centre_point=np.average(samples.points, axis=0, weights=weights),
@@ -109,6 +113,22 @@ def bake_preshape(
         outline=outline,
         finger_outlines=outlines,
     )
+
+
+def ending_between_nodes(
+    origin: Float[np.ndarray, "3"], spacing: float, points: Float[np.ndarray, "n 3"], approach: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """The origin of a grid, moved by less than a cell such that the foremost point is midway between two nodes.
+
+    What a finger covers is rounded to the nearest node at its end, which is then right: with flat things on a table,
+    one millimetre of the fingertips is all that touches. Where the approach is no axis of the grid, nothing is gained.
+    """
+    axis = int(np.argmax(np.abs(approach)))
+    side = np.sign(approach[axis])
+    nodes = (side * (points[:, axis] * side).max() - origin[axis]) / spacing
+    moved = origin.copy()
+    moved[axis] += spacing * (nodes - np.floor(nodes) - 0.5)
+    return moved
 
 
 def closing_motion(
@@ -130,11 +150,24 @@ def closing_motion(
     return coarse if steps <= len(coarse) else motion(steps)
 
 
-def _samples(card: Card, links: Sequence[Link], T_gripper_link: Float[np.ndarray, "l 4 4"]):
-    mesh = concatenate([transformed(link.collision, T) for link, T in zip(links, T_gripper_link, strict=True)])
-    return inner_surface(
-        mesh, np.array(card.approach), np.array(card.tool_centre_point), card.samples.method, card.samples.voxel_size
-    )
+def _weighted_samples(
+    hand: HandModel, baked: BakedLinks, posture: Posture, T_gripper_link: Float[np.ndarray, "l 4 4"]
+) -> tuple[PointCloud, Float[np.ndarray, "n"]]:
+    """S and its weights, those without weight last."""
+    card, rule = hand.card, hand.card.samples
+    mesh = concatenate([transformed(link.collision, T) for link, T in zip(baked.links, T_gripper_link, strict=True)])
+    view = np.array(card.approach), np.array(card.tool_centre_point), rule.method
+    if posture.finger_shares is None:
+        samples = inner_surface(mesh, *view, rule.voxel_size)
+        return samples, np.ones(len(samples.points))
+    tips = find_tips(hand)
+    samples = inner_surface(mesh, *view, min(rule.voxel_size, tips.length / TIP_SAMPLES))
+    weights = tip_weights(samples.points, posture.finger_shares, T_gripper_link, baked.fields, tips)
+    if not weights.any():
+        raise GraspmatchError(f"The fingertips of {card.name} cannot be seen in the preshape {posture.name}.")
+    order = np.argsort(weights == 0, kind="stable")
+    assert samples.normals is not None  # they are of a mesh
+    return PointCloud(samples.points[order], samples.normals[order]), weights[order]
 
 
 def _link_indices(links: Sequence[Link], names: Sequence[str]) -> list[int]:

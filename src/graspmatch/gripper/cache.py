@@ -102,7 +102,7 @@ def _plain(gripper: Gripper) -> dict[str, Any]:
         "finger_force": gripper.finger_force,
         "opening": gripper.opening,
         "approach_distance": gripper.approach_distance,
-        "preshapes": [(preshape.name, preshape.hand.spacing) for preshape in gripper.preshapes],
+        "preshapes": [(p.name, p.hand.spacing, p.is_fingertips) for p in gripper.preshapes],
         "content_hash": gripper.content_hash,
     }
 
@@ -137,8 +137,8 @@ def _unpack(arrays: dict[str, np.ndarray]) -> Gripper:
     ]
     fingers = [Finger(name, tuple(links), tuple(joints)) for name, links, joints in plain["fingers"]]
     preshapes = [
-        _unpack_preshape(arrays, f"preshape{i}.", name, spacing, len(fingers))
-        for i, (name, spacing) in enumerate(plain["preshapes"])
+        _unpack_preshape(arrays, f"preshape{i}.", name, spacing, len(fingers), is_fingertips)
+        for i, (name, spacing, is_fingertips) in enumerate(plain["preshapes"])
     ]
     return Gripper(
         name=plain["name"],
@@ -162,10 +162,13 @@ def _unpack(arrays: dict[str, np.ndarray]) -> Gripper:
     )
 
 
-def _unpack_preshape(arrays: dict[str, np.ndarray], at: str, name: str, spacing: float, fingers: int) -> Preshape:
+def _unpack_preshape(
+    arrays: dict[str, np.ndarray], at: str, name: str, spacing: float, fingers: int, is_fingertips: bool
+) -> Preshape:
     return Preshape(
         name=name,
         joints=arrays[at + "joints"],
+        is_fingertips=is_fingertips,
         samples=PointCloud(arrays[at + "samples"], arrays[at + "normals"]),
         weights=arrays[at + "weights"],
         tool_centre_point=arrays[at + "tool_centre_point"],

@@ -57,6 +57,8 @@ class PreshapeRule:
     spread: dict[str, tuple[float, ...]]
     poses: dict[str, dict[str, float]]
     """Pose name to joint values; joints that it leaves out are open."""
+    fingertips: int
+    """How many more postures, for each spread, hold things between the fingertips."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ class SampleRule:
     """[m]"""
 
 
+FINGERTIPS = 3
+"""Fingertip preshapes for each spread, where a card does not say."""
 SAMPLE_METHODS: tuple[SampleMethod, ...] = get_args(SampleMethod)
 
 
@@ -217,7 +221,10 @@ def _preshape_rule(entry: Table, joints: dict[str, DrivenJoint]) -> PreshapeRule
             raise entry.error("spread and poses", f"name {unknown('driven joint', name, joints)}")
     if steps == 0 and not poses:
         raise entry.error("steps", "is 0 and there are no poses; a hand needs at least one preshape")
-    return PreshapeRule(int(steps), (closing[0], closing[1]), spread, poses)
+    fingertips = entry.number("fingertips", float(FINGERTIPS))
+    if fingertips != int(fingertips) or fingertips < 0:
+        raise entry.error("fingertips", f"is {fingertips:g}; it must be a whole number, 0 or more")
+    return PreshapeRule(int(steps), (closing[0], closing[1]), spread, poses, int(fingertips))
 
 
 def _sample_rule(entry: Table) -> SampleRule:

@@ -99,7 +99,9 @@ def upload_space(scene: Scene, gripper: Gripper, device: str) -> Space:
 
 
 def wider_preshapes(gripper: Gripper) -> Int[np.ndarray, "p"]:
-    """For each preshape the next wider one that differs in closing only; -1 where there is none."""
+    """For each preshape the next wider one that differs in closing only; -1 where there is none. Fingertips may open to
+    any, the others to none of the fingertips'."""
+    is_fingertips = np.array([preshape.is_fingertips for preshape in gripper.preshapes])
     joints = np.array([preshape.joints for preshape in gripper.preshapes])
     closes = np.isin(np.arange(joints.shape[1]), [j for finger in gripper.fingers for j in finger.joints])
     stroke = np.where(closes, gripper.closed_joints - gripper.open_joints, 1.0)
@@ -108,7 +110,8 @@ def wider_preshapes(gripper: Gripper) -> Int[np.ndarray, "p"]:
     for i, own in enumerate(closed):
         same_spread = np.all(np.abs(joints - joints[i])[:, ~closes] < 1e-6, axis=-1)
         opener = np.all(closed[:, closes] <= own[closes] + 1e-6, axis=-1) & (np.arange(len(joints)) != i)
-        options = np.flatnonzero(same_spread & opener & (closed[:, closes].sum(axis=-1) < own[closes].sum() - 1e-6))
+        is_wider = opener & (closed[:, closes].sum(axis=-1) < own[closes].sum() - 1e-6)
+        options = np.flatnonzero(same_spread & is_wider & (is_fingertips <= is_fingertips[i]))
         if len(options):
             wider[i] = options[np.argmax(closed[options][:, closes].sum(axis=-1))]
     return wider

@@ -44,7 +44,8 @@ class Problem:
 
     hand: DeviceHand
     samples: wp.array
-    """For each preshape its samples in random order: a window of them is a mini-batch. All x, y, z and weights."""
+    """For each preshape those that have weight in random order, then the others: a window of the first is a mini-batch.
+    All x, y, z and weights."""
     centre_of_mass: Float[np.ndarray, "3"]
     """Origin of the object frame in the world [m]."""
     target_points: Float[np.ndarray, "n 3"]
@@ -66,7 +67,9 @@ def prepare(scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.rand
     spacing = target_spacing(points, config.voxel_size)
     target_points, _ = voxel_downsample(points, spacing, origin=np.zeros(3))
     hand = upload_gripper(gripper, device)
-    shuffled = np.concatenate([rng.permutation(n) + start for n, start in zip(hand.samples, hand.starts, strict=True)])
+    shuffled = np.arange(hand.rows.shape[1])
+    for n, start in zip(hand.samples, hand.starts, strict=True):
+        shuffled[start : start + n] = start + rng.permutation(n)
     own, others = (thinned(cloud.points, config.collision_points) for cloud in (scene.target, scene.obstacles))
     cloud = upload_blocks([in_block_order(part - scene.centre_of_mass) for part in (own, others)], device)
     return Problem(

@@ -16,8 +16,9 @@ from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Candidates, Graded
 from graspmatch.planner.close import close_fingers
 from graspmatch.planner.grade import foremost, stopped
-from graspmatch.planner.match import match, prepare
+from graspmatch.planner.match import match, prepare, terms_of
 from graspmatch.planner.path import Reach, aimed, keep_executable
+from graspmatch.planner.pinch import graded_as, pinch_seeds
 from graspmatch.planner.rank import rank
 from graspmatch.planner.refine import Judge, joined, judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
@@ -59,12 +60,12 @@ def plan(
     judge = judge_of(scene, gripper, space, problem, config, device, reach)
     watch.lap("prepare")
     graded = None
-    for _ in range(config.seeding.batches if starts_world_gripper is None else 1):
+    for batch in range(config.seeding.batches if starts_world_gripper is None else 1):
         if starts_world_gripper is None:
-            starts = aimed(seed_poses(scene, gripper, config.seeding, rng), judge.way, scene.centre_of_mass)
+            starts, matched_by = seeds_of(batch, scene, judge, rng)
         else:
-            starts = pose_seeds(starts_world_gripper, gripper)
-        found = candidates_from(starts, judge, tally, watch, rng)
+            starts, matched_by = pose_seeds(starts_world_gripper, gripper), judge
+        found = candidates_from(starts, matched_by, tally, watch, rng)
         graded = found if graded is None else joined(graded, found)
         if graded.confidence.max(initial=0.0) >= config.refining.enough:
             break
@@ -92,9 +93,11 @@ def candidates_from(
     """All that becomes of some starts, graded and refined."""
     config, space = judge.config, judge.space
     tally.add("candidates", len(starts))
-    matched = match(starts, judge.problem, config.matching, rng)  # Algorithm 1 of the paper
+    problem = replace(judge.problem, terms=terms_of(config.matching))
+    matched = match(starts, problem, config.matching, rng)  # Algorithm 1 of the paper
     watch.lap("match")
     free = keep_free(matched, space, config.collision, tally)  # hand and approach sweep
+    free = replace(free, matched_preshape=graded_as(space.gripper)[free.matched_preshape])
     watch.lap("avoid")
     closed = close_fingers(free, space, config.closing, tally)  # contacts and joint values
     closed = keep_executable(closed, judge.way, tally)  # directions, workspace, way out, reach
@@ -107,6 +110,22 @@ def candidates_from(
     graded = refine(graded, judge)
     watch.lap("refine")
     return graded
+
+
+def seeds_of(batch: int, scene: Scene, judge: Judge, rng: np.random.Generator) -> tuple[Candidates, Judge]:
+    """Where a batch starts, and how it is matched: every other one with fingertips, where there are opposite points."""
+    gripper, config = judge.gripper, judge.config.seeding
+    if batch % 2:
+        tips = pinch_seeds(scene, gripper, config, rng)
+        if len(tips):
+            return tips, for_tips(judge)
+    return aimed(seed_poses(scene, gripper, config, rng), judge.way, scene.centre_of_mass), judge
+
+
+def for_tips(judge: Judge) -> Judge:
+    """The same, but that fingertips are matched where they start: not scattered, nor drawn to the centre of mass."""
+    matching = replace(judge.config.matching, stein_iterations=0, com_weight=0.0)
+    return replace(judge, config=replace(judge.config, matching=matching))
 
 
 def grasp_set(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from graspmatch.config import PoseGaussian, SeedingConfig
 from graspmatch.geometry import se3
@@ -14,22 +14,29 @@ from graspmatch.types import GraspmatchError, Gripper
 
 
 def seed_poses(scene: Scene, gripper: Gripper, config: SeedingConfig, rng: np.random.Generator) -> Candidates:
-    """The same number of starting poses for every preshape."""
+    """The same number of starting poses for every preshape that the card asks for."""
     if config.pattern == "gaussians":
         return pose_seeds(sample_gaussians(config.gaussians, config.points, rng), gripper)
-    R_world_up = _upright_frame(scene, np.array(config.robot_direction))
+    R_world_up = upright_frame(scene, np.array(config.robot_direction))
     directions = fibonacci_directions(config.points)
     if config.pattern == "quarter":
         directions = directions[(directions[:, 2] > 0) & (directions[:, 0] > 0)]
     above = np.tile([0.0, 0.0, 1.0], (config.above, 1))
     if len(directions) + len(above) == 0:
         raise GraspmatchError("There are no starting poses: seeding.points or seeding.above must be larger.")
-    poses = _facing_poses(scene, gripper, directions, above, R_world_up, rng)
-    return Candidates(np.repeat(np.arange(len(poses)), poses.shape[1]), poses.reshape(-1, 4, 4))
+    preshapes = asked_for(gripper)
+    tcp_gripper = np.array([gripper.preshapes[i].tool_centre_point for i in preshapes])
+    poses = _facing_poses(scene, gripper, tcp_gripper, directions, above, R_world_up, rng)
+    return Candidates(np.repeat(preshapes, poses.shape[1]), poses.reshape(-1, 4, 4))
+
+
+def asked_for(gripper: Gripper) -> Int[np.ndarray, "p"]:
+    """The preshapes that the card asks for: all but those of the fingertips."""
+    return np.flatnonzero([not preshape.is_fingertips for preshape in gripper.preshapes])
 
 
 def pose_seeds(T_world_gripper: Float[np.ndarray, "n 4 4"], gripper: Gripper) -> Candidates:
-    """Every given pose with every preshape."""
+    """Every given pose with every preshape that the card asks for."""
     if T_world_gripper.ndim != 3 or T_world_gripper.shape[1:] != (4, 4):
         raise GraspmatchError(f"Starting poses must have the shape (n, 4, 4), not {T_world_gripper.shape}.")
     if len(T_world_gripper) == 0:
@@ -37,9 +44,8 @@ def pose_seeds(T_world_gripper: Float[np.ndarray, "n 4 4"], gripper: Gripper) ->
     is_rigid = se3.is_rigid(T_world_gripper)
     if not is_rigid.all():
         raise GraspmatchError(f"{np.sum(~is_rigid)} of {len(is_rigid)} starting poses are no finite rigid transforms.")
-    count = len(gripper.preshapes)
-    preshape = np.repeat(np.arange(count), len(T_world_gripper))
-    return Candidates(preshape, np.tile(T_world_gripper, (count, 1, 1)))
+    preshapes = asked_for(gripper)
+    return Candidates(np.repeat(preshapes, len(T_world_gripper)), np.tile(T_world_gripper, (len(preshapes), 1, 1)))
 
 
 def sample_gaussians(
@@ -65,7 +71,7 @@ def sample_gaussians(
     return se3.from_parts(turn @ se3.matrix_from_quaternion(quaternion), position + offset)
 
 
-def _upright_frame(scene: Scene, robot_direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def upright_frame(scene: Scene, robot_direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Frame with z up and x towards the robot. Up is the table's normal; where there is no table, towards the sensor,
     for what it saw can be reached from there; else the world's z."""
     up = np.array([0.0, 0.0, 1.0])
@@ -81,6 +87,7 @@ def _upright_frame(scene: Scene, robot_direction: Float[np.ndarray, "3"]) -> Flo
 def _facing_poses(
     scene: Scene,
     gripper: Gripper,
+    tcp_gripper: Float[np.ndarray, "p 3"],
     around: Float[np.ndarray, "a 3"],
     above: Float[np.ndarray, "b 3"],
     R_world_up: Float[np.ndarray, "3 3"],
@@ -92,8 +99,8 @@ def _facing_poses(
     it; a random phase lets every seed see other turns.
     """
     directions = np.concatenate([around, above])
-    phase = rng.random(len(gripper.preshapes))[:, None]
-    shift = np.arange(len(gripper.preshapes))[:, None] / 2
+    phase = rng.random(len(tcp_gripper))[:, None]
+    shift = np.arange(len(tcp_gripper))[:, None] / 2
     turns = 2 * np.pi * ((np.arange(len(around)) + shift) * GOLDEN_RATIO + phase)
     turns_above = np.pi * ((np.arange(len(above)) + phase) / max(len(above), 1) + shift)
     turned = se3.rotation_exp(np.concatenate([turns, turns_above], axis=1)[..., None] * np.array([0.0, 0.0, 1.0]))
@@ -101,7 +108,6 @@ def _facing_poses(
     directions_world = directions @ R_world_up.T
     reach = np.max(directions_world @ (scene.target.points - scene.centre_of_mass).T, axis=1)
     tcp_world = scene.centre_of_mass + np.maximum(reach, 0)[:, None] * directions_world
-    tcp_gripper = np.array([preshape.tool_centre_point for preshape in gripper.preshapes])
     return se3.from_parts(R_world_gripper, tcp_world - np.einsum("pnij,pj->pni", R_world_gripper, tcp_gripper))
 
 

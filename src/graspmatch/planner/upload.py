@@ -28,7 +28,9 @@ class DeviceHand:
 
     matching: warp_match.Hand
     samples: Int[np.ndarray, "p"]
-    """Number of samples of each preshape."""
+    """Number of samples of each preshape that are matched: the first ones, those that have weight."""
+    starts: Int[np.ndarray, "p"]
+    """First sample of each preshape."""
     rows: Float[np.ndarray, "4 n"]
     """x, y, z [m] about the pivot and weight of all samples."""
     pivots: Float[np.ndarray, "p 3"]
@@ -48,11 +50,6 @@ class DeviceHand:
     """One grid for each finger of each preshape, gripper frame."""
     arrival_levels: wp.array
 
-    @property
-    def starts(self) -> Int[np.ndarray, "p"]:
-        """First sample of each preshape."""
-        return np.cumsum(self.samples) - self.samples
-
 
 @lru_cache(maxsize=4)
 def upload_gripper(gripper: Gripper, device: str) -> DeviceHand:
@@ -66,7 +63,8 @@ def upload_gripper(gripper: Gripper, device: str) -> DeviceHand:
         corners=padded([hull_corners(preshape.outline) for preshape in preshapes]),
         swept_corners=swept_corners(preshapes),
         outline=wp.array(np.concatenate(outlines).ravel(), dtype=wp.float32, device=device),
-        samples=np.array([len(preshape.weights) for preshape in preshapes]),
+        samples=np.array([np.count_nonzero(preshape.weights) for preshape in preshapes]),
+        starts=np.cumsum([0, *(len(preshape.weights) for preshape in preshapes[:-1])]),
         rows=np.concatenate([sample_rows(preshape) for preshape in preshapes], axis=1),
         pivots=np.array([preshape.tool_centre_point for preshape in preshapes]),
         matching_levels=pack_levels([preshape.hand for preshape in preshapes], DISTANCE_STEP, device),
@@ -83,7 +81,8 @@ def _matching_hand(preshapes: tuple[Preshape, ...], device: str) -> warp_match.H
     hand = warp_match.Hand()
     hand.samples = wp.array(np.concatenate(samples), dtype=wp.vec3, device=device)
     hand.weights = wp.array(np.concatenate([p.weights for p in preshapes]), dtype=wp.float32, device=device)
-    hand.start, hand.count = _spans(samples, device)
+    hand.start, _ = _spans(samples, device)
+    _, hand.count = _spans([p.weights[p.weights > 0] for p in preshapes], device)
     hand.tool_centre_point = wp.zeros(len(preshapes), dtype=wp.vec3, device=device)
     hand.inverse_inertia = wp.array(np.array(inertia), dtype=wp.mat33, device=device)
     hand.distance = stack_fields([p.hand.shifted(-p.tool_centre_point) for p in preshapes], device)

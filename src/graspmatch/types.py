@@ -62,6 +62,8 @@ class Preshape:
     name: str
     joints: Float[Array, "d"]
     """Driven joint values."""
+    closed: Float[Array, "d"]
+    """Those at which closing from here ends when nothing stops the fingers."""
     samples: PointCloud
     """S: samples of the inner surface, with normals."""
     weights: Float[Array, "n"]
@@ -98,7 +100,8 @@ class Gripper:
     upper: Float[Array, "d"]
     open_joints: Float[Array, "d"]
     closed_joints: Float[Array, "d"]
-    """Where a driven joint that closes ends; for a joint that only spreads, its open value."""
+    """Where a driven joint that closes ends, if the preshape does not say otherwise; of one that only spreads, its open
+    value."""
     links: tuple[Link, ...]
     fingers: tuple[Finger, ...]
     approach: Float[Array, "3"]

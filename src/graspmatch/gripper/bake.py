@@ -15,13 +15,13 @@ from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid
 from graspmatch.geometry.mesh import TriangleMesh, concatenate, transformed
-from graspmatch.gripper.card import Card
+from graspmatch.gripper.card import Card, Posture
 from graspmatch.gripper.kinematics import HandModel, pose_links
 from graspmatch.gripper.samples import inner_surface
 from graspmatch.kernels import warp_bake
 from graspmatch.kernels.fields import stack_fields
 from graspmatch.kernels.launch import launch
-from graspmatch.types import Finger, Link, Preshape
+from graspmatch.types import Finger, Link, PointCloud, Preshape
 
 DEVICE = "cpu"
 """Baking happens once per hand and is cached: it need not be fast."""
@@ -70,16 +70,14 @@ def bake_preshape(
     hand: HandModel,
     baked: BakedLinks,
     fingers: tuple[Finger, ...],
-    name: str,
-    joints: Float[np.ndarray, "d"],
-    closed: Float[np.ndarray, "d"],
+    posture: Posture,
     config: BakingConfig,
 ) -> Preshape:
-    """All fields and samples of the posture `joints` (driven values), which closes towards `closed`."""
+    """All fields and samples of a posture."""
     card = hand.card
-    T_gripper_link = closing_motion(hand, baked, joints, closed, config)
+    T_gripper_link = closing_motion(hand, baked, posture.joints, posture.closed, config)
     steps = len(T_gripper_link)
-    samples = _samples(card, baked.links, T_gripper_link[0])
+    samples = _samples(card, posture, baked.links, T_gripper_link[0])
     outline = _posed_corners(baked.hulls, T_gripper_link[0], range(len(baked.links)))
     moving = [_link_indices(baked.links, finger.links) for finger in fingers]
     outlines = tuple(
@@ -97,8 +95,9 @@ def bake_preshape(
     arrival = np.stack([_arrival(stack, T_gripper_link, links, nodes).reshape(shape) for links in moving])
     weights = np.ones(len(samples.points))
     return Preshape(
-        name=name,
-        joints=joints,
+        name=posture.name,
+        joints=posture.joints,
+        closed=posture.closed,
         samples=samples,
         weights=weights,
         tool_centre_point=np.average(samples.points, axis=0, weights=weights),
@@ -130,10 +129,13 @@ def closing_motion(
     return coarse if steps <= len(coarse) else motion(steps)
 
 
-def _samples(card: Card, links: Sequence[Link], T_gripper_link: Float[np.ndarray, "l 4 4"]):
+def _samples(
+    card: Card, posture: Posture, links: Sequence[Link], T_gripper_link: Float[np.ndarray, "l 4 4"]
+) -> PointCloud:
     mesh = concatenate([transformed(link.collision, T) for link, T in zip(links, T_gripper_link, strict=True)])
+    rule = card.samples
     return inner_surface(
-        mesh, np.array(card.approach), np.array(card.tool_centre_point), card.samples.method, card.samples.voxel_size
+        mesh, card.approach, posture.tool_centre_point, rule.method, rule.voxel_size, reach=posture.reach
     )
 
 

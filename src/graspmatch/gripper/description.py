@@ -19,6 +19,8 @@ from graspmatch.gripper.toml_table import unknown
 from graspmatch.types import Link
 
 GEOM = mujoco.mjtGeom
+MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+"""Joints that count; free and ball joints only say where the hand is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,24 +45,33 @@ class Description:
 
 def read_description(path: Path | str, base_link: str) -> Description:
     """The hand below `base_link` in a URDF or MJCF file."""
-    path = Path(path).absolute()
+    model, files = compile_description(Path(path).absolute())
+    return describe(model, files, base_link)
+
+
+def compile_description(path: Path) -> tuple[mujoco.MjModel, tuple[Path, ...]]:
+    """The whole file as a model for kinematics, and all files that it is made of, itself first."""
     spec, files = load_spec(path)
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     try:
-        model = spec.compile()
+        return spec.compile(), files
     except ValueError as error:
         raise GraspmatchError(f"MuJoCo cannot build {path}: {error}") from error
-    names = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
+
+
+def describe(model: mujoco.MjModel, files: tuple[Path, ...], base_link: str) -> Description:
+    """The part of a compiled file from `base_link` outwards."""
+    path = files[0]
+    names = [model.body(i).name for i in range(model.nbody)]
     if base_link not in names:
         raise GraspmatchError(f"{path} has {unknown('base link', base_link, names)}")
     base = names.index(base_link)
-    hand = [i for i in range(model.nbody) if _is_below(model, i, base)]
-    solid = [i for i in hand if _geoms(model, i)]
+    hand = [i for i in range(model.nbody) if is_below(model, i, base)]
+    solid = [i for i in hand if solid_geoms(model, i)]
     if not solid:
         raise GraspmatchError(f"{path}: no link from '{base_link}' outwards has any geometry.")
-    moving = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    joints = [i for i in range(model.njnt) if model.jnt_bodyid[i] in hand[1:] and int(model.jnt_type[i]) in moving]
+    joints = [i for i in range(model.njnt) if model.jnt_bodyid[i] in hand[1:] and int(model.jnt_type[i]) in MOVING]
     return Description(
         path=path,
         files=files,
@@ -91,6 +102,10 @@ def load_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[Path, ...]]:
     spec.assets = assets
     spec.compiler.discardvisual = False
     spec.compiler.fusestatic = False  # a link welded to its parent keeps its name
+    for i, body in enumerate(spec.bodies):
+        body.name = body.name or f"body_{i}"
+    for i, joint in enumerate(spec.joints):
+        joint.name = joint.name or f"joint_{i}"
     return spec, tuple(files)
 
 
@@ -170,13 +185,14 @@ def _included_files(path: Path, folder: Path) -> list[Path]:
     return direct + [inner for file in direct for inner in _included_files(file, folder)]
 
 
-def _is_below(model: mujoco.MjModel, body: int, base: int) -> bool:
+def is_below(model: mujoco.MjModel, body: int, base: int) -> bool:
+    """Whether a body is the base or hangs on it."""
     while body > base:  # parents come first
         body = int(model.body_parentid[body])
     return body == base
 
 
-def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
+def solid_geoms(model: mujoco.MjModel, body: int) -> list[int]:
     """The geoms of a body that bound a solid."""
     start = model.body_geomadr[body]
     geoms = range(start, start + model.body_geomnum[body])
@@ -184,7 +200,7 @@ def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _link(model: mujoco.MjModel, body: int, name: str) -> Link:
-    geoms = _geoms(model, body)
+    geoms = solid_geoms(model, body)
     touching = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
     shown = [g for g in geoms if g not in touching] or geoms
     meshes = {g: geom_mesh(model, g) for g in geoms}

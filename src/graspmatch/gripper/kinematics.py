@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 
 from graspmatch.errors import GraspmatchError
 from graspmatch.geometry.se3 import from_parts, inverse
-from graspmatch.gripper.card import Card, preshape_joints, read_card
+from graspmatch.gripper.card import Card, postures, read_card
 from graspmatch.gripper.description import Description, read_description
 from graspmatch.gripper.toml_table import unknown
 from graspmatch.types import Link
@@ -81,7 +81,9 @@ def check_card(card: Card, description: Description) -> None:
         if named.count(name) > 1:
             raise GraspmatchError(f"{card.path}: link '{name}' can belong to the palm or to one finger, not to two.")
     lower, upper = _limits(description, card.joint_names)
-    shapes = [("open", card.open_joints), ("closed", card.closed_joints), *preshape_joints(card, card.joint_names)]
+    shapes = [("open", card.open_joints), ("closed", card.closed_joints)]
+    for posture in postures(card, card.joint_names):
+        shapes += [(posture.name, posture.joints), (f"{posture.name}, closed", posture.closed)]
     for shape, values in shapes:
         for name, value, low, high in zip(card.joint_names, values, lower, upper, strict=True):
             if not low - LIMIT_SLACK <= value <= high + LIMIT_SLACK:
@@ -117,6 +119,11 @@ def _load_hand(card_path: Path, description_path: Path, card_stamp: int, descrip
     card = read_card(card_path)
     description = read_description(description_path, card.base_link)
     check_card(card, description)
+    return assemble(card, description)
+
+
+def assemble(card: Card, description: Description) -> HandModel:
+    """The hand of a card and a description that fit each other."""
     lower, upper = _limits(description, card.joint_names)
     return HandModel(card, description, card.joint_names, lower, upper, description.links, _stamps(description))
 

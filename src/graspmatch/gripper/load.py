@@ -13,13 +13,13 @@ import numpy as np
 from graspmatch.config import BakingConfig
 from graspmatch.gripper.bake import bake_links, bake_preshape
 from graspmatch.gripper.cache import read_gripper, write_gripper
-from graspmatch.gripper.card import preshape_joints
+from graspmatch.gripper.card import postures
 from graspmatch.gripper.description import content_hash
 from graspmatch.gripper.kinematics import HandModel, load_hand
 from graspmatch.gripper.zoo import card_path
 from graspmatch.types import Finger, Gripper
 
-BAKING_VERSION = 4
+BAKING_VERSION = 5
 """Raised whenever baking gives another result for the same input."""
 
 
@@ -53,8 +53,7 @@ def bake_gripper(hand: HandModel, content: str, baking: BakingConfig) -> Gripper
     open_joints, closed_joints = (np.array(values, dtype=float) for values in (card.open_joints, card.closed_joints))
     links = bake_links(hand.links, baking)
     preshapes = tuple(
-        bake_preshape(hand, links, fingers, name, joints, closing_target(hand, joints), baking)
-        for name, joints in preshape_joints(card, hand.joint_names)
+        bake_preshape(hand, links, fingers, posture, baking) for posture in postures(card, hand.joint_names)
     )
     return Gripper(
         name=card.name,
@@ -76,12 +75,6 @@ def bake_gripper(hand: HandModel, content: str, baking: BakingConfig) -> Gripper
         preshapes=preshapes,
         content_hash=content,
     )
-
-
-def closing_target(hand: HandModel, joints: np.ndarray) -> np.ndarray:
-    """Where a posture's fingers end when nothing stops them: spread joints stay where they are."""
-    closes = np.array([hand.card.joints[name].closed is not None for name in hand.joint_names])
-    return np.where(closes, hand.card.closed_joints, joints)
 
 
 def _cache_key(name: str, content: str, baking: BakingConfig) -> str:

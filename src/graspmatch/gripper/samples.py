@@ -19,6 +19,8 @@ from graspmatch.types import GraspmatchError, PointCloud
 
 CAMERA_HEIGHTS = (0.35, 0.6, 0.85)
 """Where the cameras stand, as fractions of the way from the palm to the tool centre point."""
+PRECISE_VIEWS = (0.0, 0.2)
+"""Where they stand in a precision posture, from its tool centre point back, in parts of its reach."""
 CAMERA_RAYS = 4000
 LATTICE_OFFSET = 0.317
 """In voxels: keeps faces at round numbers off the voxels' borders, where rounding would count them twice."""
@@ -32,19 +34,29 @@ def inner_surface(
     tool_centre_point: Float[np.ndarray, "3"],
     method: SampleMethod,
     voxel_size: float,
+    *,
+    reach: float = np.inf,
 ) -> PointCloud:
-    """Samples of the inner surface of one posture, one in each voxel, with outward normals; gripper frame [m]."""
-    caster = _RayCaster(mesh)
-    views = _camera_positions(caster, approach, tool_centre_point)
+    """Samples of the inner surface of one posture, one in each voxel, with outward normals; gripper frame [m].
+
+    Of a precision posture only what is within `reach` of its tool centre point, from where it is looked at [m].
+    """
+    caster = RayCaster(mesh)
+    if np.isfinite(reach):
+        views = tool_centre_point - np.outer(PRECISE_VIEWS, reach * approach)
+    else:
+        views = _camera_positions(caster, approach, tool_centre_point)
     see = _seen_by_rays if method == "camera" else _seen_samples
     points, normals = see(caster, views, voxel_size)
+    near = np.linalg.norm(points - tool_centre_point, axis=-1) <= reach
+    points, normals = points[near], normals[near]
     if len(points) < 10:
         raise GraspmatchError("The hand has no inner surface around its tool centre point: check the card's frames.")
     keep = _one_in_each_voxel(points, voxel_size)
     return PointCloud(points[keep], normals[keep])
 
 
-class _RayCaster:
+class RayCaster:
     """A mesh on the device and its face normals."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
@@ -67,7 +79,7 @@ class _RayCaster:
 
 
 def _camera_positions(
-    caster: _RayCaster, approach: Float[np.ndarray, "3"], tool_centre_point: Float[np.ndarray, "3"]
+    caster: RayCaster, approach: Float[np.ndarray, "3"], tool_centre_point: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "v 3"]:
     """On the axis from the palm, where a ray from the tool centre point meets it, to the tool centre point."""
     reach, _ = caster.cast(tool_centre_point[None], -approach[None])
@@ -79,7 +91,7 @@ def _camera_positions(
     return tool_centre_point - (1 - np.array(CAMERA_HEIGHTS))[:, None] * reach[0] * approach
 
 
-def _seen_by_rays(caster: _RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):
+def _seen_by_rays(caster: RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):
     """The point clouds of the cameras, each looking all around."""
     directions = np.tile(fibonacci_directions(CAMERA_RAYS), (len(views), 1))
     origins = np.repeat(views, CAMERA_RAYS, axis=0)
@@ -89,7 +101,7 @@ def _seen_by_rays(caster: _RayCaster, views: Float[np.ndarray, "v 3"], voxel_siz
     return (origins + reach[:, None] * directions)[hit], normals[hit]
 
 
-def _seen_samples(caster: _RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):
+def _seen_samples(caster: RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):
     """Samples of the mesh, about eight a voxel face, that at least one camera sees."""
     points, normals = sample_surface(caster.mesh, 8 / voxel_size**2, np.random.default_rng(0))
     seen = np.zeros(len(points), dtype=bool)

@@ -101,10 +101,12 @@ def contact_joints(
     preshape: Int[np.ndarray, "n"], fraction: Float[np.ndarray, "n f"], gripper: Gripper
 ) -> Float[np.ndarray, "n d"]:
     """Driven joint values where the fingers stop; a joint that several fingers move takes the mean of theirs."""
-    joints = np.array([posture.joints for posture in gripper.preshapes])[preshape]
+    joints, closed = (
+        np.array([getattr(p, name) for p in gripper.preshapes])[preshape] for name in ("joints", "closed")
+    )
     stop = stop_fractions(fraction, gripper)
     for j in range(len(gripper.joint_names)):
         moved = [f for f, finger in enumerate(gripper.fingers) if j in finger.joints]
         if moved:
-            joints[:, j] += stop[:, moved].mean(axis=-1) * (gripper.closed_joints[j] - joints[:, j])
+            joints[:, j] += stop[:, moved].mean(axis=-1) * (closed[:, j] - joints[:, j])
     return joints

@@ -351,7 +351,7 @@ def test_loops_and_tendons_hold_over_a_long_way(tmp_path: Path, loop: str) -> No
 def test_a_spec_can_be_attached_to_another_world(tmp_path: Path) -> None:
     card = read_card(make_tongs(tmp_path))
     world = mujoco.MjSpec()
-    world.attach(load_spec(card.description)[0], prefix="hand_", frame=world.worldbody.add_frame())
+    world.attach(load_spec(Path(card.description))[0], prefix="hand_", frame=world.worldbody.add_frame())
     assert "hand_tip" in [body.name for body in world.bodies]
     assert world.compile().nmesh == 2
 

@@ -32,7 +32,7 @@ def add_gripper(command: AddGripper, say: Speech) -> int:
     hand = load_hand(card)
     for table in (_frames(proposal), _joints(proposal), _fingers(proposal)):
         say.show(table)
-    findings = check_hand(hand, proposal.touching)
+    findings = [*proposal.notes, *check_hand(hand, proposal.touching)]
     with say.progress("Computing its preshapes, drawing them"):
         from graspmatch.apps.hand_sheet import write_hand_sheet
 

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from graspmatch.config import SampleMethod
 from graspmatch.errors import GraspmatchError
+from graspmatch.gripper.find_description import has_scheme
 from graspmatch.gripper.toml_table import Table, unknown
 
 Array = np.ndarray
@@ -92,7 +93,10 @@ class Card:
     path: Path
     name: str
     title: str
-    description: Path
+    description: str
+    """Path of the URDF or MJCF file, or where else it is, as `find_description` has it."""
+    source: str
+    """Where to get that file, for people; empty where it comes with the card."""
     base_link: str
     approach: Float[Array, "3"]
     """Unit vector towards the object."""
@@ -204,7 +208,8 @@ def read_card(path: Path | str) -> Card:
         path=path,
         name=name,
         title=table.string("title", name),
-        description=path.parent / table.string("description"),
+        description=_description(path, table.string("description")),
+        source=table.string("source") if "source" in table.values else "",
         base_link=table.string("base_link"),
         approach=approach,
         closing=closing,
@@ -219,6 +224,10 @@ def read_card(path: Path | str) -> Card:
         preshapes=_preshape_rule(table.table("preshapes"), joints),
         samples=_sample_rule(table.table("samples")),
     )
+
+
+def _description(path: Path, reference: str) -> str:
+    return reference if has_scheme(reference) else str(path.parent / reference)
 
 
 def _driven_joint(entry: Table) -> DrivenJoint:

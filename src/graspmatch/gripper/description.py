@@ -16,9 +16,12 @@ from graspmatch.geometry.se3 import from_parts, matrix_from_quaternion
 from graspmatch.gripper.card import Card
 from graspmatch.gripper.mesh_files import find_file, mesh_for_mujoco
 from graspmatch.gripper.toml_table import unknown
+from graspmatch.gripper.urdf_tree import refuse_tangled
 from graspmatch.types import Link
 
 GEOM = mujoco.mjtGeom
+NO_ROOM = 1e-9
+"""Between the limits of a joint that cannot move: MuJoCo wants them apart [rad or m]."""
 MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 """Joints that count; free and ball joints only say where the hand is."""
 
@@ -102,6 +105,9 @@ def load_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[Path, ...]]:
     spec.assets = assets
     spec.compiler.discardvisual = False
     spec.compiler.fusestatic = False  # a link welded to its parent keeps its name
+    # Links that give no inertia.
+    spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-12)
     for i, body in enumerate(spec.bodies):
         body.name = body.name or f"body_{i}"
     for i, joint in enumerate(spec.joints):
@@ -120,6 +126,7 @@ def content_hash(card: Card, description: Description) -> str:
 def _urdf_spec(root: ElementTree.Element, path: Path, files: list[Path], assets: dict[str, bytes]) -> mujoco.MjSpec:
     if any("ros.org/wiki/xacro" in element.tag or "xacro" in element.tag for element in root.iter()):
         raise GraspmatchError(f"{path} is a xacro template; expand it first: xacro {path.name} > hand.urdf")
+    refuse_tangled(root, path)
     known: dict[tuple[Path, str], str] = {}
     for link in root.iter("link"):
         for mesh in link.iter("mesh"):
@@ -139,7 +146,13 @@ def _urdf_spec(root: ElementTree.Element, path: Path, files: list[Path], assets:
     root.remove(extension)
     root.insert(0, extension)
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"), assets=assets)
-    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-12  # links that give no inertia
+    for joint in root.iter("joint"):
+        limit = joint.find("limit")
+        if joint.get("type") in ("revolute", "prismatic") and limit is not None and joint.find("mimic") is None:
+            low, high = (float(limit.get(end, 0)) for end in ("lower", "upper"))
+            if low == high:  # which MuJoCo would take for no limits
+                stiff = next(j for j in spec.joints if j.name == joint.get("name"))
+                stiff.limited, stiff.range = mujoco.mjtLimited.mjLIMITED_TRUE, (low, low + NO_ROOM)
     for mesh in spec.meshes:
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX  # open and inside-out meshes have one too
     return spec

@@ -41,7 +41,8 @@ def meet_object(
         "fingers stopped by the table or an obstacle",
     )
     touching = np.sum(fraction <= 1, axis=-1)
-    keep = reaches & tally.keep(touching >= config.fewest_fingers, "fingers that close on nothing", among=reaches)
+    fewest = min(config.fewest_fingers, len(space.gripper.fingers))  # a single jaw closes on a fixed one, the palm
+    keep = reaches & tally.keep(touching >= fewest, "fingers that close on nothing", among=reaches)
     return keep, fraction
 
 

@@ -9,7 +9,7 @@ from importlib.metadata import version
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.config import CollisionConfig, PlannerConfig, RankingConfig, check
+from graspmatch.config import ClosingConfig, CollisionConfig, PlannerConfig, RankingConfig, check
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import narrowest_width
 from graspmatch.kernels.launch import resolve_device
@@ -42,7 +42,7 @@ def plan(
     """
     config = config or PlannerConfig()
     check(config)
-    if config.closing.fewest_fingers > len(gripper.fingers):
+    if config.closing.fewest_fingers > max(len(gripper.fingers), ClosingConfig().fewest_fingers):
         raise GraspmatchError(
             f"closing.fewest_fingers is {config.closing.fewest_fingers}; {gripper.name} has {len(gripper.fingers)}."
         )

@@ -56,7 +56,7 @@ def find_drives(model: mujoco.MjModel, files: tuple[Path, ...], tree: Tree) -> D
     if actuated or transmitted:
         _by_actuators(found, model, dofs, actuated or [[j] for j in transmitted])
         why = "an actuator moves it" if actuated else "a transmission moves it"
-        found.reasons = {j: why for j in found.driven}
+        found.reasons |= {j: why for j in found.driven}
         _hold_loose_ends(found, model, dofs, tree.branches)
     else:
         _by_experience(found, model, dofs, tree)

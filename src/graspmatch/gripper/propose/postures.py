@@ -19,7 +19,7 @@ HAND_STEPS = 4
 """Postures of a hand with several drives, ..."""
 SPREAD_STEPS = 3
 """... at each spread, if there are two."""
-RISEN = 0.65
+RISEN = 0.8
 """Share of their greatest depth that fingertips must be in front of the palm to hold something."""
 NARROW = 0.2
 """Share of the widest gap below which a posture is of no use."""

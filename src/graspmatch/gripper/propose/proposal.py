@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from graspmatch.gripper.description import compile_description
+from graspmatch.gripper.find_description import find_description
 from graspmatch.gripper.propose.closing import (
     Roles,
     at_share,
@@ -20,6 +21,7 @@ from graspmatch.gripper.propose.closing import (
     together,
 )
 from graspmatch.gripper.propose.drives import Drives, find_drives
+from graspmatch.gripper.propose.faults import refuse_wrong_units, stiff_and_loose
 from graspmatch.gripper.propose.force import guess_force
 from graspmatch.gripper.propose.frames import Frames, find_approach, find_frames, find_sides, side_gap
 from graspmatch.gripper.propose.meeting import Meeting, Pads, find_pads, find_thumb, meet
@@ -69,6 +71,11 @@ class Proposal:
     touching: Touching
 
     @property
+    def notes(self) -> list[str]:
+        """What in the description a person should look at, one sentence each."""
+        return stiff_and_loose(self.mechanism.description.model, self.mechanism.tree, self.drives)
+
+    @property
     def finger_names(self) -> list[str]:
         """By number."""
         return [f"finger_{f + 1}" for f in range(len(self.mechanism.branches))]
@@ -94,9 +101,10 @@ def propose(path: Path | str, *, root: str | None = None, name: str | None = Non
     `root` is the link at which the hand begins, where the file has more than one hand, or an arm. Raises
     `GraspmatchError` where there is no hand, or its parts make none.
     """
-    path = Path(path).absolute()
+    path = find_description(path)
     model, files = compile_description(path)
     tree = find_tree(model, path, root)
+    refuse_wrong_units(model, path, tree)
     drives = find_drives(model, files, tree)
     hand = mechanism(model, files, tree, drives)
     return propose_for(hand, drives, name or _plain_name(path))

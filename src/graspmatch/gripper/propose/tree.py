@@ -52,9 +52,12 @@ def find_tree(model: mujoco.MjModel, path: Path, root: str | None) -> Tree:
     palms = _palms(model, groups, children, top)
     if not palms:
         raise GraspmatchError(_no_hand(model, path, top))
-    if len(palms) > 1:
-        names = ", ".join(f"'{_trunk(model, groups, children, palm)}'" for palm in palms)
-        raise GraspmatchError(f"{path} has {len(palms)} hands; choose one by the link it begins at, --root {names}.")
+    names = [_trunk(model, groups, children, palm) for palm in palms]
+    if len(palms) == 1 and root is None:
+        names = _standing_apart(model, children[palms[0]]) or names
+    if len(names) > 1:
+        listed = ", ".join(f"'{name}'" for name in names)
+        raise GraspmatchError(f"{path} has {len(names)} hands; choose one by the link it begins at, --root: {listed}.")
     return _tree(model, groups, children, palms[0], top, is_given=root is not None)
 
 
@@ -106,6 +109,17 @@ def _palms(model: mujoco.MjModel, groups: list[int], children: dict[int, list[in
         ends = [g for g, c in children.items() if not c and _is_moved(model, g, top)]
         palms = [groups[model.body_parentid[end]] for end in ends][:1] if len(ends) == 1 else []
     return palms
+
+
+def _standing_apart(model: mujoco.MjModel, heads: list[int]) -> list[str]:
+    """The first links of several hands that are all welded to the world, none if they are one."""
+    first: dict[int, int] = {}
+    for body in _ends(model, heads):
+        while model.body_parentid[body] > 0:
+            body = int(model.body_parentid[body])
+        first[body] = first.get(body, 0) + 1
+    hands = [body for body, count in first.items() if count >= 2]
+    return [model.body(body).name for body in hands] if len(hands) > 1 else []
 
 
 def _ends(model: mujoco.MjModel, heads: list[int]) -> list[int]:

@@ -315,3 +315,41 @@ def test_a_drive_that_is_named_by_a_transmission_is_the_only_one(tmp_path: Path)
     extra = '<transmission name="t"><joint name="first"/><actuator name="m"/></transmission>'
     found = propose(urdf(tmp_path, extra=extra))
     assert found.mechanism.joint_names == ("first",)
+
+
+def linkage(folder: Path) -> Path:
+    """A hand whose two fingers are each a link and a rod beside it, all following one joint, loops left open."""
+    parts = []
+    for side, sign in (("left", 1), ("right", -1)):
+        mimic = "" if side == "left" else '<mimic joint="left_link_joint"/>'
+        for name, y, length in (("link", 0.05, 0.1), ("rod", 0.035, 0.06)):
+            follow = mimic if name == "link" else '<mimic joint="left_link_joint"/>'
+            parts.append(
+                f'''<link name="{side}_{name}"><collision><origin xyz="0 0 {length / 2}"/>
+                <geometry><box size="0.02 0.01 {length}"/></geometry></collision></link>
+                <joint name="{side}_{name}_joint" type="revolute"><parent link="base"/><child link="{side}_{name}"/>
+                <origin xyz="0 {sign * y} 0.01"/><axis xyz="{sign} 0 0"/>
+                <limit lower="0" upper="0.3" effort="5" velocity="1"/>{follow}</joint>'''
+            )
+    path = folder / "linkage.urdf"
+    base = '<link name="base"><collision><geometry><box size="0.05 0.12 0.02"/></geometry></collision></link>'
+    path.write_text(f"<robot name='linkage'>{base}{''.join(parts)}</robot>")
+    return path
+
+
+def test_parts_of_a_linkage_that_only_follow_are_one_finger(tmp_path: Path) -> None:
+    found = propose(linkage(tmp_path))
+    assert found.mechanism.joint_names == ("left_link_joint",)
+    assert len(found.mechanism.branches) == 2
+    assert found.postures.steps == 10
+
+
+def test_a_jaw_that_closes_on_a_fixed_one_is_a_hand(tmp_path: Path) -> None:
+    text = TONGS.format(**(WHOLE | {"extra": ""})).replace(
+        '<joint name="r" type="slide" axis="0 1 0" range="0 0.04"/>', ""
+    )
+    (tmp_path / "jaw.xml").write_text(text)
+    found = propose(tmp_path / "jaw.xml")
+    assert found.mechanism.joint_names == ("l",)
+    np.testing.assert_allclose(found.frames.closing, [0, 1, 0])
+    assert found.frames.opening == pytest.approx(0.08, abs=0.005)

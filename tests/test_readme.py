@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hands
 from graspmatch.apps.cli import parse
 from graspmatch.config import PlannerConfig
 from graspmatch.geometry import se3
@@ -91,6 +92,10 @@ def test_defaults_that_the_method_names_are_those_of_the_configuration() -> None
             assert float(default.split()[0].strip(",")) == getattr(getattr(PlannerConfig(), stage), name), name
             checked += 1
     assert checked >= 10
+
+
+def test_the_table_of_hands_is_made_from_the_cards() -> None:
+    assert hands.readme_with_table(README.read_text()) == README.read_text()
 
 
 @pytest.mark.parametrize("name", known_grippers())

@@ -127,7 +127,7 @@ def _described_by(card: Card, override: Path | str | None) -> Path:
 
 
 def _hint(card: Card) -> str:
-    return f"{card.name} is described by {card.source}." if card.source else ""
+    return f"{card.name} is described by {card.source}; give that file with --description." if card.source else ""
 
 
 @lru_cache(maxsize=32)

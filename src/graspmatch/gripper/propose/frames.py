@@ -196,12 +196,17 @@ def _tip_gap(
 def _gap_to_palm(
     mechanism: Mechanism, T_base_link: Float[Array, "l 4 4"], closing: Float[Array, "3"]
 ) -> tuple[float, Float[Array, "3"]]:
-    """Of a single jaw: from its tip to the nearest point of the fixed one."""
-    tip = mechanism.tip_points(T_base_link)[0]
-    palm = mechanism.points(mechanism.palm_links, T_base_link)
-    apart = np.linalg.norm(tip[:, None] - palm[None], axis=-1)
-    i, j = np.unravel_index(np.argmin(apart), apart.shape)
-    return float(apart[i, j]), (tip[i] + palm[j]) / 2
+    """Of a single jaw: from the inside of its tip along the closing axis to the fixed one, and the middle [m]."""
+    tip, links = mechanism.tip_points(T_base_link)[0], mechanism.hand.links
+    palm = [transformed(links[i].collision, T_base_link[i]) for i in mechanism.palm_links]
+    ways = np.stack([closing, -closing])
+    starts = np.stack([tip.mean(axis=0) + (np.max((tip - tip.mean(axis=0)) @ way)) * way for way in ways])
+    reach, _ = RayCaster(concatenate(palm)).cast(starts, ways)
+    reach = np.where(reach < 0, np.inf, reach)
+    side = int(np.argmin(reach))
+    if not np.isfinite(reach[side]):
+        return 0.0, tip.mean(axis=0)
+    return float(reach[side]), starts[side] + reach[side] / 2 * ways[side]
 
 
 def _holding_points(mechanism: Mechanism, finger: int, T_base_link: Float[Array, "l 4 4"]) -> Float[Array, "n 3"]:

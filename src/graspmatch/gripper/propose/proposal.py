@@ -24,6 +24,7 @@ from graspmatch.gripper.propose.drives import Drives, find_drives
 from graspmatch.gripper.propose.faults import refuse_wrong_units, stiff_and_loose
 from graspmatch.gripper.propose.force import guess_force
 from graspmatch.gripper.propose.frames import Frames, find_approach, find_frames, find_sides, side_gap
+from graspmatch.gripper.propose.linkages import join_linkages
 from graspmatch.gripper.propose.meeting import Meeting, Pads, find_pads, find_thumb, meet
 from graspmatch.gripper.propose.posing import Mechanism, mechanism
 from graspmatch.gripper.propose.postures import (
@@ -106,7 +107,7 @@ def propose(path: Path | str, *, root: str | None = None, name: str | None = Non
     tree = find_tree(model, path, root)
     refuse_wrong_units(model, path, tree)
     drives = find_drives(model, files, tree)
-    hand = mechanism(model, files, tree, drives)
+    hand = join_linkages(mechanism(model, files, tree, drives))
     return propose_for(hand, drives, name or _plain_name(path))
 
 

@@ -39,13 +39,10 @@ def inner_surface(
 ) -> PointCloud:
     """Samples of the inner surface of one posture, one in each voxel, with outward normals; gripper frame [m].
 
-    Of a precision posture only what is within `reach` of its tool centre point, from where it is looked at [m].
+    Only what is within `reach` of the tool centre point counts [m].
     """
     caster = RayCaster(mesh)
-    if np.isfinite(reach):
-        views = tool_centre_point - np.outer(PRECISE_VIEWS, reach * approach)
-    else:
-        views = _camera_positions(caster, approach, tool_centre_point)
+    views = _camera_positions(caster, approach, tool_centre_point, reach)
     see = _seen_by_rays if method == "camera" else _seen_samples
     points, normals = see(caster, views, voxel_size)
     near = np.linalg.norm(points - tool_centre_point, axis=-1) <= reach
@@ -79,16 +76,21 @@ class RayCaster:
 
 
 def _camera_positions(
-    caster: RayCaster, approach: Float[np.ndarray, "3"], tool_centre_point: Float[np.ndarray, "3"]
+    caster: RayCaster, approach: Float[np.ndarray, "3"], tool_centre_point: Float[np.ndarray, "3"], reach: float
 ) -> Float[np.ndarray, "v 3"]:
-    """On the axis from the palm, where a ray from the tool centre point meets it, to the tool centre point."""
-    reach, _ = caster.cast(tool_centre_point[None], -approach[None])
-    if reach[0] < 0:
+    """On the axis from the palm, where a ray from the tool centre point meets it, to the tool centre point.
+
+    Where the palm is out of reach, as it is in precision postures, beside the tool centre point.
+    """
+    back = float(caster.cast(tool_centre_point[None], -approach[None])[0][0])
+    if np.isfinite(reach) and not 0 <= back <= reach:
+        return tool_centre_point - np.outer(PRECISE_VIEWS, reach * approach)
+    if back < 0:
         raise GraspmatchError(
             "There is no palm behind the tool centre point, against the approach: check the card's tool_centre_point "
             "and approach, in the frame of its base_link."
         )
-    return tool_centre_point - (1 - np.array(CAMERA_HEIGHTS))[:, None] * reach[0] * approach
+    return tool_centre_point - (1 - np.array(CAMERA_HEIGHTS))[:, None] * back * approach
 
 
 def _seen_by_rays(caster: RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):

@@ -96,10 +96,11 @@ def meet(
     fingers: Sequence[int],
     *,
     spread: bool = True,
+    polished: int = POLISHED,
 ) -> Meeting:
     """The most comfortable posture in which the first of some fingers meets the middle of the others, the rest open.
 
-    Without `spread` only the first moves sideways.
+    Without `spread` only the first moves sideways. Of the postures tried, the best `polished` are improved.
     """
     first, others = fingers[0], list(fingers[1:])
     closing = roles.closers[others].any(axis=0)
@@ -128,21 +129,20 @@ def meet(
         return float((gap / NEAR) ** 2 + FACING * away + COMFORT * np.mean((unit - rest) ** 2))
 
     drawn = np.random.default_rng(0).uniform(0, 1, (TRIED, len(free)))
-    begins = sorted(drawn, key=cost)[:POLISHED]
+    begins = sorted(drawn, key=cost)
     options = {"bounds": [(0.0, 1.0)] * len(free), "options": {"maxiter": MOST_STEPS}}
-    found = [minimize(cost, begin, method="L-BFGS-B", **options) for begin in begins]
-    joints = posture(min(found, key=lambda result: result.fun).x)
+    found = [minimize(cost, begin, method="L-BFGS-B", **options).x for begin in begins[:polished]]
+    joints = posture(min(found or begins[:1], key=cost))
     gap, facing = measures(joints)
     return Meeting(tuple(fingers), joints, abs(gap), float(facing.min()))
 
 
 def find_thumb(mechanism: Mechanism, roles: Roles, pads: Pads, opened: Float[Array, "d"]) -> tuple[int, list[Meeting]]:
     """The finger that can oppose the most others, and its meetings with each of them, the best first."""
-    count = len(mechanism.branches)
-    pairs = [meet(mechanism, roles, pads, opened, (a, b)) for a in range(count) for b in range(a + 1, count)]
-    thumb = min(range(count), key=lambda f: sum(m.badness for m in pairs if f in m.fingers))
-    meetings = []
-    for m in (m for m in pairs if thumb in m.fingers):
-        other = next(f for f in m.fingers if f != thumb)
-        meetings.append(Meeting((thumb, other), m.joints, m.gap, m.facing))
-    return thumb, sorted(meetings, key=lambda m: m.badness)
+    fingers = range(len(mechanism.branches))
+    rough = {
+        (a, b): meet(mechanism, roles, pads, opened, (a, b), polished=0) for a in fingers for b in fingers if a < b
+    }
+    thumb = min(fingers, key=lambda f: sum(meeting.badness for pair, meeting in rough.items() if f in pair))
+    meetings = [meet(mechanism, roles, pads, opened, (thumb, f)) for f in fingers if f != thumb]
+    return thumb, sorted(meetings, key=lambda meeting: meeting.badness)

@@ -29,6 +29,10 @@ POWERFUL = (0.05, 0.08, 0.11)
 """And of power preshapes [m]."""
 BEYOND = 0.12
 """Tips that pinch close past where they meet by this share of the way, so that they press on what is thin."""
+MORE = 0.01
+"""By which the widest power preshape is wider than the next [m]."""
+WHOLE = 1.3
+"""What counts in a power preshape is not farther from the tool centre point than so many times the palm's centre."""
 AROUND = 0.02
 """What counts of the hand in a precision preshape reaches so far beyond half the gap [m]."""
 
@@ -110,28 +114,40 @@ def many_jointed_postures(
     opened: Float[Array, "d"],
     meetings: dict[str, Meeting],
     wrapped: dict[str, Float[Array, "d"]],
+    tool_centre_point: Float[Array, "3"],
 ) -> Postures:
     """Precision poses, which open from where tips meet, and power poses, which close until the fingers wrap.
 
     `wrapped` gives for a power pose where its closing ends; the others are precision poses.
     """
-    poses = []
+    poses, whole = [], WHOLE * float(np.linalg.norm(tool_centre_point - mechanism.palm_centre))
     for name, meeting in meetings.items():
         fingers = list(meeting.fingers)
         takes_part = roles.closers[fingers].any(axis=0)
-        for gap in POWERFUL if name in wrapped else PRECISE:
+        most = widest_gap(mechanism, roles, pads, opened, meeting)
+        for gap in power_gaps(most) if name in wrapped else [gap for gap in PRECISE if gap < most]:
             joints = open_to(mechanism, roles, pads, opened, meeting, gap)
-            if joints is None:
-                continue
             label = f"{name}_{1000 * gap:.0f}"
             if name in wrapped:
-                poses.append(Pose(label, joints, np.where(takes_part, wrapped[name], joints)))
+                poses.append(Pose(label, joints, np.where(takes_part, wrapped[name], joints), reach=whole))
                 continue
             beyond = meeting.joints + BEYOND * (meeting.joints - joints)
             closed = np.where(takes_part, np.clip(beyond, mechanism.lower, mechanism.upper), joints)
             centre = _centre(pads, mechanism.pose(joints), meeting)
             poses.append(Pose(label, joints, closed, centre, gap / 2 + AROUND))
     return Postures(poses=tuple(poses))
+
+
+def power_gaps(most: float) -> list[float]:
+    """The gaps of the power preshapes of a hand that opens to `most` [m]: that too where it is not enough for all."""
+    most = min(most, POWERFUL[-1])
+    found = [gap for gap in POWERFUL if gap <= most]
+    return [*found, most] if most > max(found, default=0.0) + MORE else found
+
+
+def widest_gap(mechanism: Mechanism, roles: Roles, pads: Pads, opened: Float[Array, "d"], meeting: Meeting) -> float:
+    """Between the tips of a meeting's fingers when they are open [m]."""
+    return tip_gap(pads, mechanism.pose(_opened_by(roles, opened, meeting, 1.0)), meeting.fingers)
 
 
 def open_to(
@@ -141,24 +157,23 @@ def open_to(
     opened: Float[Array, "d"],
     meeting: Meeting,
     gap: float,
-) -> Float[Array, "d"] | None:
-    """The meeting's posture, its fingers opened until their tips are `gap` apart [m]; none if they cannot be."""
-    share = np.zeros(len(mechanism.branches))
-
-    def at(part: float) -> Float[Array, "d"]:
-        share[list(meeting.fingers)] = part
-        return at_share(roles, meeting.joints, opened, share)
-
+) -> Float[Array, "d"]:
+    """The meeting's posture, its fingers opened until their tips are `gap` apart [m], or as far as they go."""
     low, high = 0.0, 1.0
-    if tip_gap(pads, mechanism.pose(at(high)), meeting.fingers) < gap:
-        return None
     for _ in range(20):
         middle = (low + high) / 2
-        if tip_gap(pads, mechanism.pose(at(middle)), meeting.fingers) < gap:
+        if tip_gap(pads, mechanism.pose(_opened_by(roles, opened, meeting, middle)), meeting.fingers) < gap:
             low = middle
         else:
             high = middle
-    return at(high)
+    return _opened_by(roles, opened, meeting, high)
+
+
+def _opened_by(roles: Roles, opened: Float[Array, "d"], meeting: Meeting, share: float) -> Float[Array, "d"]:
+    """The meeting's posture, its fingers a share of the way to open."""
+    shares = np.zeros(len(roles.moves))
+    shares[list(meeting.fingers)] = share
+    return at_share(roles, meeting.joints, opened, shares)
 
 
 def tip_gap(pads: Pads, T_base_link: Float[Array, "l 4 4"], fingers: tuple[int, ...]) -> float:

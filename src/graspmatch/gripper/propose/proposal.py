@@ -28,12 +28,13 @@ from graspmatch.gripper.propose.linkages import join_linkages
 from graspmatch.gripper.propose.meeting import Meeting, Pads, find_pads, find_thumb, meet
 from graspmatch.gripper.propose.posing import Mechanism, mechanism
 from graspmatch.gripper.propose.postures import (
-    POWERFUL,
     Postures,
     hand_postures,
     jaw_postures,
     many_jointed_postures,
     open_to,
+    power_gaps,
+    widest_gap,
 )
 from graspmatch.gripper.propose.spreading import find_spreads
 from graspmatch.gripper.propose.touching import Touching
@@ -166,7 +167,6 @@ def _many_jointed(
     widest = list(meetings.values())[-1]
     sides = ([thumb], list(widest.fingers[1:]))
     looking = open_to(hand, roles, pads, opened, widest, POWER_GAP)
-    looking = widest.joints if looking is None else looking
     way = [looking + s * (widest.joints - looking) for s in WAY]
     approach, why = find_approach(hand, [way[0], way[10]], sides)
     frames = find_frames(hand, way, sides, approach, why)
@@ -175,10 +175,9 @@ def _many_jointed(
         for label, m in meetings.items()
         if label == "power"
     }
-    gaps = (open_to(hand, roles, pads, opened, widest, gap) for gap in POWERFUL)
-    opening = max((g for g, posture in zip(POWERFUL, gaps, strict=True) if posture is not None), default=frames.opening)
+    opening = max(power_gaps(widest_gap(hand, roles, pads, opened, widest)), default=frames.opening)
     frames = replace(frames, opening=opening)
-    postures = many_jointed_postures(hand, roles, pads, opened, meetings, wrapped)
+    postures = many_jointed_postures(hand, roles, pads, opened, meetings, wrapped, frames.tool_centre_point)
     still = np.where(roles.closes != 0, opened, widest.joints)
     closed = np.where(roles.closes != 0, next(iter(wrapped.values()), end), still)
     return _finished(name, hand, drives, roles, still, closed, frames, postures, sides, touching)

@@ -38,7 +38,7 @@ AXIS_LENGTH, AXIS_WIDTH = 0.6, 0.012
 
 def write_hand_sheet(gripper: Gripper, path: Path, *, link_poses: LinkPoses) -> None:
     """Write the PNG: blue is the approach, red the closing axis, yellow the tool centre point, green the samples S."""
-    rows = [("open", gripper.open_joints, None)]
+    rows: list[tuple[str, Array, Array | None]] = [("open", gripper.open_joints, None)]
     every = math.ceil(len(gripper.preshapes) / MOST_PRESHAPES)
     for preshape in gripper.preshapes[::every]:
         rows.append((preshape.name, preshape.joints, preshape.samples.points))

@@ -116,7 +116,7 @@ def _closing_of(pose: Pose, proposal: Proposal) -> list[str]:
 def _values(key: str, proposal: Proposal, values: Float[Array, "d"], which: Array) -> list[str]:
     """Joint values as dotted keys, one a line."""
     names = proposal.mechanism.joint_names
-    return [f"{key}.{_key(names[j])} = {_joint_value(proposal, j, values[j])}" for j in np.flatnonzero(which)]
+    return [f"{key}.{_key(names[j])} = {_joint_value(proposal, j, values[j])}" for j in map(int, np.flatnonzero(which))]
 
 
 def _joint_value(proposal: Proposal, joint: int, value: float) -> str:

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from graspmatch.geometry.mesh import TriangleMesh, face_normals_areas, transformed
-from graspmatch.gripper.card import preshape_joints, read_card
+from graspmatch.gripper.card import postures, read_card
 from graspmatch.gripper.description import content_hash, load_spec, read_description
 from graspmatch.gripper.kinematics import HandModel, load_hand, pose_links, solve_posture
 from graspmatch.types import GraspmatchError
@@ -132,12 +132,12 @@ def test_card_axes_are_unit_and_perpendicular(tmp_path: Path) -> None:
 
 def test_preshapes_follow_the_rule_and_keep_the_order_asked_for(tmp_path: Path) -> None:
     change = ("closing = [0.0, 0.5]", "closing = [0.0, 0.5]\nspread = { turn = [-0.5, 0.5] }")
-    shapes = preshape_joints(read_card(make_tongs(tmp_path, change=change)), ["turn", "left_joint"])
-    assert [name for name, _ in shapes][:2] == ["spread_-0.5_close_0", "spread_-0.5_close_25"]
-    assert len({name for name, _ in shapes}) == 7
-    np.testing.assert_allclose(shapes[5][1], [0.5, 0.5])
-    assert shapes[6][0] == "wide"
-    np.testing.assert_allclose(shapes[6][1], [0.25, 0.2])
+    shapes = postures(read_card(make_tongs(tmp_path, change=change)), ["turn", "left_joint"])
+    assert [shape.name for shape in shapes][:2] == ["spread_-0.5_close_0", "spread_-0.5_close_25"]
+    assert len({shape.name for shape in shapes}) == 7
+    np.testing.assert_allclose(shapes[5].joints, [0.5, 0.5])
+    assert shapes[6].name == "wide"
+    np.testing.assert_allclose(shapes[6].joints, [0.25, 0.2])
 
 
 @pytest.mark.parametrize(
@@ -351,7 +351,7 @@ def test_loops_and_tendons_hold_over_a_long_way(tmp_path: Path, loop: str) -> No
 def test_a_spec_can_be_attached_to_another_world(tmp_path: Path) -> None:
     card = read_card(make_tongs(tmp_path))
     world = mujoco.MjSpec()
-    world.attach(load_spec(card.description)[0], prefix="hand_", frame=world.worldbody.add_frame())
+    world.attach(load_spec(Path(card.description))[0], prefix="hand_", frame=world.worldbody.add_frame())
     assert "hand_tip" in [body.name for body in world.bodies]
     assert world.compile().nmesh == 2
 

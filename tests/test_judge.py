@@ -10,10 +10,11 @@ from graspmatch.config import ForceClosureConfig, LiftConfig, TugConfig
 from graspmatch.geometry.se3 import from_parts, rotation_exp, translation
 from graspmatch.simulate.contacts import touch
 from graspmatch.simulate.free import force_closure, force_closure_physics, tug, tug_physics
-from graspmatch.simulate.hand import OBJECT_BIT, drive_forces
+from graspmatch.simulate.hand import OBJECT_BIT
 from graspmatch.simulate.lift import lift, lift_physics
 from graspmatch.simulate.motion import Recording, Run
 from graspmatch.simulate.settle import settle
+from graspmatch.simulate.stroke import stroke_from
 from graspmatch.simulate.world import Physics, World, build_world, gripper_pose, object_pose, place
 from judge_scenes import HANDS, box, cube, from_above, half_open, hand, pinch
 
@@ -91,7 +92,7 @@ def test_the_squeeze_of_a_shaken_cube_stays_the_rated_force() -> None:
 
 
 def test_the_rated_force_arrives_at_the_fingertips_of_every_hand() -> None:
-    forces = {name: drive_forces(hand(name)) for name in HANDS}
+    forces = {name: stroke_from(hand(name), hand(name).card.open_joints).force for name in HANDS}
     np.testing.assert_allclose(forces["franka_hand"], 80.0, rtol=1e-6)  # 40 N at each of two fingers on one drive
     for name in ("barrett_bh282", "kinova_kg3"):
         lever = forces[name][0] / hand(name).card.finger_force
@@ -105,7 +106,7 @@ def test_a_finger_of_a_self_locking_hand_is_not_pushed_open() -> None:
     for _ in run.close(1.0, squeeze=0.2):
         pass
     before = run.data.qpos[world.drive_qpos].copy()
-    run.data.qfrc_applied[world.drive_dof[0]] = -3 * world.drive_force[0]
+    run.data.qfrc_applied[world.drive_dof[0]] = -3 * run.stroke.force[0]
     for _ in run.wait(0.3):
         pass
     assert abs(run.data.qpos[world.drive_qpos[0]] - before[0]) < 0.01

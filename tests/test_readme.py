@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hands
 from graspmatch.apps.cli import parse
 from graspmatch.config import PlannerConfig
 from graspmatch.geometry import se3
-from graspmatch.gripper.card import preshape_joints, read_card
+from graspmatch.gripper.card import postures, read_card
 from graspmatch.gripper.zoo import card_path, known_grippers
 from graspmatch.scene.shapes import mug
 
@@ -93,10 +94,14 @@ def test_defaults_that_the_method_names_are_those_of_the_configuration() -> None
     assert checked >= 10
 
 
+def test_the_table_of_hands_is_made_from_the_cards() -> None:
+    assert hands.readme_with_table(README.read_text()) == README.read_text()
+
+
 @pytest.mark.parametrize("name", known_grippers())
 def test_tables_of_the_built_in_hands_say_what_the_cards_say(name: str) -> None:
     card = read_card(card_path(name))
-    counts = f"{len(card.fingers)} | {len(card.joints)} | {len(preshape_joints(card, card.joint_names))}"
+    counts = f"{len(card.fingers)} | {len(card.joints)} | {len(postures(card, card.joint_names))}"
     numbers = f"{1000 * card.opening:.0f} | {card.finger_force:.0f}"
     samples = f"{card.samples.method}, {1000 * card.samples.voxel_size:.0f} mm"
     assert f"| `{name}` | {counts} | {numbers} | {samples} |" in (ROOT / "docs" / "grippers.md").read_text()

@@ -64,6 +64,8 @@ class Preshape:
     """Driven joint values."""
     is_fingertips: bool
     """Whether the fingertips alone hold: for thin, flat and small things."""
+    closed: Float[Array, "d"]
+    """Those at which closing from here ends when nothing stops the fingers."""
     samples: PointCloud
     """S: samples of the inner surface, with normals; those without weight last."""
     weights: Float[Array, "n"]
@@ -100,7 +102,8 @@ class Gripper:
     upper: Float[Array, "d"]
     open_joints: Float[Array, "d"]
     closed_joints: Float[Array, "d"]
-    """Where a driven joint that closes ends; for a joint that only spreads, its open value."""
+    """Where a driven joint that closes ends, if the preshape does not say otherwise; of one that only spreads, its open
+    value."""
     links: tuple[Link, ...]
     fingers: tuple[Finger, ...]
     approach: Float[Array, "3"]

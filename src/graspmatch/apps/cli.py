@@ -10,7 +10,7 @@ from typing import Literal
 
 import tyro
 
-from graspmatch.apps.options import Bench, Command, Convert, Demo, Grippers, Parsed, Simulate
+from graspmatch.apps.options import Bench, Command, Convert, Demo, Grippers, ListGrippers, Parsed, Simulate
 from graspmatch.errors import GraspmatchError
 
 DESCRIPTION = """Plan 6-DoF grasps for any hand from a mesh or a point cloud.
@@ -49,7 +49,11 @@ def run(command: Parsed) -> int:
     from graspmatch.apps.speech import Speech
 
     if isinstance(command, Grippers):
-        return commands.list_grippers(as_json=command.json)
+        if isinstance(command.what, ListGrippers):
+            return commands.list_grippers(as_json=command.json)
+        from graspmatch.apps.add_gripper import add_gripper
+
+        return add_gripper(command.what, Speech(as_json=command.json, quiet=command.what.quiet))
     say = Speech(as_json=command.json, quiet=command.quiet)
     if isinstance(command, Demo):
         return commands.demo(command.folder, command.config, say)

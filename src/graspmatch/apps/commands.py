@@ -109,11 +109,11 @@ def demo(folder: Path, config: PlannerConfig, say: Speech) -> int:
 
 def list_grippers(*, as_json: bool) -> int:
     """Show the built-in hands; reads their cards only."""
-    from graspmatch.gripper.card import preshape_joints, read_card
+    from graspmatch.gripper.card import postures, read_card
     from graspmatch.gripper.zoo import card_path, known_grippers
 
     cards = [read_card(card_path(name)) for name in known_grippers()]
-    counts = [len(preshape_joints(card, card.joint_names)) for card in cards]
+    counts = [len(postures(card, card.joint_names)) for card in cards]
     if as_json:
         records = [
             {

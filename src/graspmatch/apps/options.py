@@ -106,13 +106,53 @@ class Plan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grippers:
+class ListGrippers:
     """List the hands that are built in."""
 
     json: bool = False
     """Print one JSON object on stdout."""
     debug: bool = False
     """Print the traceback of an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddGripper:
+    """Write the card of a hand from its description, and a picture of what was found."""
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """URDF or MJCF file of the hand; a xacro must be expanded first."""
+    name: str | None = None
+    """What the hand is called; none: as its file."""
+    root: str | None = None
+    """Link at which the hand begins, where the file has several hands, or an arm; none: it is found."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path(".")
+    """Folder for NAME.toml and NAME.png."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grippers:
+    """List the hands that are built in, or add one of your own."""
+
+    what: Annotated[
+        Annotated[ListGrippers, tyro.conf.subcommand("list")] | Annotated[AddGripper, tyro.conf.subcommand("add")],
+        tyro.conf.arg(name=""),
+    ] = field(default_factory=ListGrippers)
+
+    @property
+    def json(self) -> bool:
+        """As the inner command says."""
+        return self.what.json
+
+    @property
+    def debug(self) -> bool:
+        """As the inner command says."""
+        return self.what.debug
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,8 @@ from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid
 from graspmatch.geometry.mesh import TriangleMesh, concatenate, transformed
-from graspmatch.gripper.fingertips import TIP_SAMPLES, Posture, closing_target, find_tips, tip_weights
+from graspmatch.gripper.card import Posture
+from graspmatch.gripper.fingertips import TIP_SAMPLES, find_tips, tip_weights
 from graspmatch.gripper.kinematics import HandModel, pose_links
 from graspmatch.gripper.samples import inner_surface
 from graspmatch.kernels import warp_bake
@@ -75,7 +76,7 @@ def bake_preshape(
 ) -> Preshape | None:
     """All fields and samples of a posture; none of fingertips that cannot be seen from between the fingers."""
     card = hand.card
-    T_gripper_link = closing_motion(hand, baked, posture.joints, closing_target(hand, posture.joints), config)
+    T_gripper_link = closing_motion(hand, baked, posture.joints, posture.closed, config)
     steps = len(T_gripper_link)
     try:
         samples, weights = _weighted_samples(hand, baked, posture, T_gripper_link[0])
@@ -103,6 +104,7 @@ def bake_preshape(
         name=posture.name,
         joints=posture.joints,
         is_fingertips=posture.finger_shares is not None,
+        closed=posture.closed,
         samples=samples,
         weights=weights,
         tool_centre_point=np.average(samples.points, axis=0, weights=weights),
@@ -156,9 +158,9 @@ def _weighted_samples(
     """S and its weights, those without weight last."""
     card, rule = hand.card, hand.card.samples
     mesh = concatenate([transformed(link.collision, T) for link, T in zip(baked.links, T_gripper_link, strict=True)])
-    view = np.array(card.approach), np.array(card.tool_centre_point), rule.method
+    view = card.approach, posture.tool_centre_point, rule.method
     if posture.finger_shares is None:
-        samples = inner_surface(mesh, *view, rule.voxel_size)
+        samples = inner_surface(mesh, *view, rule.voxel_size, reach=posture.reach)
         return samples, np.ones(len(samples.points))
     tips = find_tips(hand)
     samples = inner_surface(mesh, *view, min(rule.voxel_size, tips.length / TIP_SAMPLES))

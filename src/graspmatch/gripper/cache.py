@@ -110,6 +110,7 @@ def _plain(gripper: Gripper) -> dict[str, Any]:
 def _preshape_arrays(preshape: Preshape) -> dict[str, np.ndarray]:
     arrays = {
         "joints": preshape.joints,
+        "closed": preshape.closed,
         "samples": preshape.samples.points,
         "normals": preshape.samples.normals,
         "weights": preshape.weights,
@@ -169,6 +170,7 @@ def _unpack_preshape(
         name=name,
         joints=arrays[at + "joints"],
         is_fingertips=is_fingertips,
+        closed=arrays[at + "closed"],
         samples=PointCloud(arrays[at + "samples"], arrays[at + "normals"]),
         weights=arrays[at + "weights"],
         tool_centre_point=arrays[at + "tool_centre_point"],

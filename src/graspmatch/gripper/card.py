@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from graspmatch.config import SampleMethod
 from graspmatch.errors import GraspmatchError
+from graspmatch.gripper.find_description import has_scheme
 from graspmatch.gripper.toml_table import Table, unknown
 
 Array = np.ndarray
@@ -48,6 +49,19 @@ class CardFinger:
 
 
 @dataclass(frozen=True)
+class CardPose:
+    """A posture by name. Joints that it leaves out are open."""
+
+    joints: dict[str, float]
+    closed: dict[str, float] | None
+    """Where closing from here ends; joints left out stay where they are. None: the closed values of the card."""
+    tool_centre_point: tuple[float, float, float] | None
+    """Where the tips of this posture meet [m]; none: the card's."""
+    reach: float | None
+    """Only what is so near to the tool centre point counts as inner surface [m]; none: all that is seen."""
+
+
+@dataclass(frozen=True)
 class PreshapeRule:
     """Which postures to bake: steps of the closing motion, at each spread, and explicit poses."""
 
@@ -55,8 +69,7 @@ class PreshapeRule:
     closing: tuple[float, float]
     """First and last fraction of the way from open to closed."""
     spread: dict[str, tuple[float, ...]]
-    poses: dict[str, dict[str, float]]
-    """Pose name to joint values; joints that it leaves out are open."""
+    poses: dict[str, CardPose]
     fingertips: int
     """How many more postures, for each spread, hold things between the fingertips."""
 
@@ -72,6 +85,8 @@ class SampleRule:
 
 FINGERTIPS = 3
 """Fingertip preshapes for each spread, where a card does not say."""
+SAME_POSTURE = 1e-3
+"""Joint values that differ by less are those of one preshape: files of grasps round them [rad or m]."""
 SAMPLE_METHODS: tuple[SampleMethod, ...] = get_args(SampleMethod)
 
 
@@ -82,7 +97,10 @@ class Card:
     path: Path
     name: str
     title: str
-    description: Path
+    description: str
+    """Path of the URDF or MJCF file, or where else it is, as `find_description` has it."""
+    source: str
+    """Where to get that file, for people; empty where it comes with the card."""
     base_link: str
     approach: Float[Array, "3"]
     """Unit vector towards the object."""
@@ -119,19 +137,62 @@ class Card:
         return np.array([j.open if j.closed is None else j.closed for j in self.joints.values()])
 
 
-def preshape_joints(card: Card, joint_names: Sequence[str]) -> list[tuple[str, Float[Array, "d"]]]:
-    """Name and driven joint values, in the order of `joint_names`, of every preshape that the card asks for."""
+@dataclass(frozen=True)
+class Posture:
+    """One preshape that a card asks for; values of the d driven joints [rad or m]."""
+
+    name: str
+    joints: Float[Array, "d"]
+    closed: Float[Array, "d"]
+    """Where its fingers end when nothing stops them; joints that only spread stay where they are."""
+    tool_centre_point: Float[Array, "3"]
+    """[m]"""
+    reach: float
+    """What is farther from the tool centre point is no inner surface [m]; infinite where all is."""
+    finger_shares: Float[Array, "f"] | None = None
+    """How much the tip of each finger counts, where tips are all that counts."""
+
+
+def postures(card: Card, joint_names: Sequence[str]) -> list[Posture]:
+    """Every preshape that the card asks for, joints in the order of `joint_names`."""
     rule = card.preshapes
     way = {name: (a, b) for name, a, b in zip(card.joints, card.open_joints, card.closed_joints, strict=True)}
-    shapes = []
+    shapes: list[tuple[str, dict[str, float], CardPose | None]] = []
     for spread in itertools.product(*rule.spread.values()):
         prefix = "".join(f"spread_{value:.4g}_" for value in spread)
         for fraction in np.linspace(*rule.closing, rule.steps):
             values = {name: a + fraction * (b - a) for name, (a, b) in way.items()}
-            shapes.append((f"{prefix}close_{100 * fraction:.0f}", values | dict(zip(rule.spread, spread, strict=True))))
+            values |= dict(zip(rule.spread, spread, strict=True))
+            shapes.append((f"{prefix}close_{100 * fraction:.0f}", values, None))
     opened = {name: a for name, (a, _) in way.items()}
-    shapes += [(name, opened | pose) for name, pose in rule.poses.items()]
-    return [(name, np.array([values[joint] for joint in joint_names])) for name, values in shapes]
+    shapes += [(name, opened | pose.joints, pose) for name, pose in rule.poses.items()]
+    return [_posture(card, joint_names, name, values, pose) for name, values, pose in shapes]
+
+
+def closed_from(card: Card, joint_names: Sequence[str], joints: Float[Array, "d"]) -> Float[Array, "d"]:
+    """Where the fingers end that close from some joint values: as the preshape of these values says, else the card."""
+    for posture in postures(card, joint_names):
+        if np.allclose(posture.joints, joints, rtol=0, atol=SAME_POSTURE):
+            return posture.closed
+    return _closed_by_card(card, joint_names, joints)
+
+
+def _posture(
+    card: Card, joint_names: Sequence[str], name: str, values: dict[str, float], pose: CardPose | None
+) -> Posture:
+    joints = np.array([values[joint] for joint in joint_names])
+    closed, centre, reach = _closed_by_card(card, joint_names, joints), card.tool_centre_point, np.inf
+    if pose is not None:
+        if pose.closed is not None:
+            closed = np.array([(values | pose.closed)[joint] for joint in joint_names])
+        centre = centre if pose.tool_centre_point is None else np.array(pose.tool_centre_point)
+        reach = np.inf if pose.reach is None else pose.reach
+    return Posture(name, joints, closed, centre, reach)
+
+
+def _closed_by_card(card: Card, joint_names: Sequence[str], joints: Float[Array, "d"]) -> Float[Array, "d"]:
+    ends = [card.joints[name].closed for name in joint_names]
+    return np.array([value if end is None else end for value, end in zip(joints, ends, strict=True)])
 
 
 def read_card(path: Path | str) -> Card:
@@ -153,7 +214,8 @@ def read_card(path: Path | str) -> Card:
         path=path,
         name=name,
         title=table.string("title", name),
-        description=path.parent / table.string("description"),
+        description=_description(path, table.string("description")),
+        source=table.string("source") if "source" in table.values else "",
         base_link=table.string("base_link"),
         approach=approach,
         closing=closing,
@@ -168,6 +230,10 @@ def read_card(path: Path | str) -> Card:
         preshapes=_preshape_rule(table.table("preshapes"), joints),
         samples=_sample_rule(table.table("samples")),
     )
+
+
+def _description(path: Path, reference: str) -> str:
+    return reference if has_scheme(reference) else str(path.parent / reference)
 
 
 def _driven_joint(entry: Table) -> DrivenJoint:
@@ -213,18 +279,33 @@ def _preshape_rule(entry: Table, joints: dict[str, DrivenJoint]) -> PreshapeRule
     spread = {name: spread_table.numbers(name, None) for name in spread_table.values}
     poses = {}
     for pose in entry.list_of_tables("poses"):
-        pose.only(("name", "joints"))
-        values = pose.table("joints")
-        poses[pose.string("name")] = {name: values.number(name) for name in values.values}
-    for name in itertools.chain(spread, *poses.values()):
+        poses[pose.string("name")] = _card_pose(pose)
+    named = itertools.chain(spread, *(pose.joints for pose in poses.values()))
+    for name in named:
         if name not in joints:
             raise entry.error("spread and poses", f"name {unknown('driven joint', name, joints)}")
+    closing_joints = [name for name, joint in joints.items() if joint.closed is not None]
+    for name in itertools.chain(*(pose.closed or {} for pose in poses.values())):
+        if name not in closing_joints:
+            raise entry.error("poses", f"close {unknown('driven joint that closes', name, closing_joints)}")
     if steps == 0 and not poses:
         raise entry.error("steps", "is 0 and there are no poses; a hand needs at least one preshape")
     fingertips = entry.number("fingertips", float(FINGERTIPS))
     if fingertips != int(fingertips) or fingertips < 0:
         raise entry.error("fingertips", f"is {fingertips:g}; it must be a whole number, 0 or more")
     return PreshapeRule(int(steps), (closing[0], closing[1]), spread, poses, int(fingertips))
+
+
+def _card_pose(entry: Table) -> CardPose:
+    entry.only(("name", *CardPose.__annotations__))
+    joints, closed = entry.table("joints"), entry.table("closed")
+    centre = entry.numbers("tool_centre_point", 3) if "tool_centre_point" in entry.values else None
+    return CardPose(
+        joints={name: joints.number(name) for name in joints.values},
+        closed={name: closed.number(name) for name in closed.values} if "closed" in entry.values else None,
+        tool_centre_point=None if centre is None else (centre[0], centre[1], centre[2]),
+        reach=entry.positive("reach") if "reach" in entry.values else None,
+    )
 
 
 def _sample_rule(entry: Table) -> SampleRule:

@@ -16,9 +16,14 @@ from graspmatch.geometry.se3 import from_parts, matrix_from_quaternion
 from graspmatch.gripper.card import Card
 from graspmatch.gripper.mesh_files import find_file, mesh_for_mujoco
 from graspmatch.gripper.toml_table import unknown
+from graspmatch.gripper.urdf_tree import refuse_tangled
 from graspmatch.types import Link
 
 GEOM = mujoco.mjtGeom
+NO_ROOM = 1e-9
+"""Between the limits of a joint that cannot move: MuJoCo wants them apart [rad or m]."""
+MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+"""Joints that count; free and ball joints only say where the hand is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,24 +48,33 @@ class Description:
 
 def read_description(path: Path | str, base_link: str) -> Description:
     """The hand below `base_link` in a URDF or MJCF file."""
-    path = Path(path).absolute()
+    model, files = compile_description(Path(path).absolute())
+    return describe(model, files, base_link)
+
+
+def compile_description(path: Path) -> tuple[mujoco.MjModel, tuple[Path, ...]]:
+    """The whole file as a model for kinematics, and all files that it is made of, itself first."""
     spec, files = load_spec(path)
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     try:
-        model = spec.compile()
+        return spec.compile(), files
     except ValueError as error:
         raise GraspmatchError(f"MuJoCo cannot build {path}: {error}") from error
-    names = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
+
+
+def describe(model: mujoco.MjModel, files: tuple[Path, ...], base_link: str) -> Description:
+    """The part of a compiled file from `base_link` outwards."""
+    path = files[0]
+    names = [model.body(i).name for i in range(model.nbody)]
     if base_link not in names:
         raise GraspmatchError(f"{path} has {unknown('base link', base_link, names)}")
     base = names.index(base_link)
-    hand = [i for i in range(model.nbody) if _is_below(model, i, base)]
-    solid = [i for i in hand if _geoms(model, i)]
+    hand = [i for i in range(model.nbody) if is_below(model, i, base)]
+    solid = [i for i in hand if solid_geoms(model, i)]
     if not solid:
         raise GraspmatchError(f"{path}: no link from '{base_link}' outwards has any geometry.")
-    moving = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    joints = [i for i in range(model.njnt) if model.jnt_bodyid[i] in hand[1:] and int(model.jnt_type[i]) in moving]
+    joints = [i for i in range(model.njnt) if model.jnt_bodyid[i] in hand[1:] and int(model.jnt_type[i]) in MOVING]
     return Description(
         path=path,
         files=files,
@@ -91,6 +105,13 @@ def load_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[Path, ...]]:
     spec.assets = assets
     spec.compiler.discardvisual = False
     spec.compiler.fusestatic = False  # a link welded to its parent keeps its name
+    # Links that give no inertia.
+    spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-12)
+    for i, body in enumerate(spec.bodies):
+        body.name = body.name or f"body_{i}"
+    for i, joint in enumerate(spec.joints):
+        joint.name = joint.name or f"joint_{i}"
     return spec, tuple(files)
 
 
@@ -105,6 +126,7 @@ def content_hash(card: Card, description: Description) -> str:
 def _urdf_spec(root: ElementTree.Element, path: Path, files: list[Path], assets: dict[str, bytes]) -> mujoco.MjSpec:
     if any("ros.org/wiki/xacro" in element.tag or "xacro" in element.tag for element in root.iter()):
         raise GraspmatchError(f"{path} is a xacro template; expand it first: xacro {path.name} > hand.urdf")
+    refuse_tangled(root, path)
     known: dict[tuple[Path, str], str] = {}
     for link in root.iter("link"):
         for mesh in link.iter("mesh"):
@@ -124,7 +146,13 @@ def _urdf_spec(root: ElementTree.Element, path: Path, files: list[Path], assets:
     root.remove(extension)
     root.insert(0, extension)
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"), assets=assets)
-    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-12  # links that give no inertia
+    for joint in root.iter("joint"):
+        limit = joint.find("limit")
+        if joint.get("type") in ("revolute", "prismatic") and limit is not None and joint.find("mimic") is None:
+            low, high = (float(limit.get(end, 0)) for end in ("lower", "upper"))
+            if low == high:  # which MuJoCo would take for no limits
+                stiff = next(j for j in spec.joints if j.name == joint.get("name"))
+                stiff.limited, stiff.range = mujoco.mjtLimited.mjLIMITED_TRUE, (low, low + NO_ROOM)
     for mesh in spec.meshes:
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX  # open and inside-out meshes have one too
     return spec
@@ -170,13 +198,14 @@ def _included_files(path: Path, folder: Path) -> list[Path]:
     return direct + [inner for file in direct for inner in _included_files(file, folder)]
 
 
-def _is_below(model: mujoco.MjModel, body: int, base: int) -> bool:
+def is_below(model: mujoco.MjModel, body: int, base: int) -> bool:
+    """Whether a body is the base or hangs on it."""
     while body > base:  # parents come first
         body = int(model.body_parentid[body])
     return body == base
 
 
-def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
+def solid_geoms(model: mujoco.MjModel, body: int) -> list[int]:
     """The geoms of a body that bound a solid."""
     start = model.body_geomadr[body]
     geoms = range(start, start + model.body_geomnum[body])
@@ -184,7 +213,7 @@ def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _link(model: mujoco.MjModel, body: int, name: str) -> Link:
-    geoms = _geoms(model, body)
+    geoms = solid_geoms(model, body)
     touching = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
     shown = [g for g in geoms if g not in touching] or geoms
     meshes = {g: geom_mesh(model, g) for g in geoms}

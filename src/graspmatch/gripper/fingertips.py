@@ -7,14 +7,14 @@ farthest from the root of its finger when the hand is open, so it is found on an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid, interpolate
-from graspmatch.gripper.card import preshape_joints
+from graspmatch.gripper.card import Posture, postures
 from graspmatch.gripper.kinematics import HandModel, pose_links
 
 Array = np.ndarray
@@ -27,17 +27,6 @@ EVENNESS = 0.3
 """What it costs to leave the work to a few fingers, beside a cost of one for a force that is not balanced."""
 CLOSING_STEPS = 33
 """Postures in which a gap between the tips is looked for."""
-
-
-@dataclass(frozen=True)
-class Posture:
-    """What is baked as one preshape."""
-
-    name: str
-    joints: Float[Array, "d"]
-    """Driven joint values."""
-    finger_shares: Float[Array, "f"] | None = None
-    """How much the tip of each finger counts, where tips are all that counts."""
 
 
 @dataclass(frozen=True)
@@ -62,20 +51,15 @@ class Tips:
         return TIP * float(self.reach.min())
 
 
-def postures(hand: HandModel, fields: Sequence[Grid]) -> list[Posture]:
+def with_fingertips(hand: HandModel, fields: Sequence[Grid]) -> list[Posture]:
     """All preshapes of a hand: those that its card asks for, then those of the fingertips for each spread; `fields` are
-    the signed distances of its links."""
-    whole = [Posture(name, joints) for name, joints in preshape_joints(hand.card, hand.joint_names)]
+    the signed distances of its links. A card with precision postures of its own needs no others."""
+    whole = postures(hand.card, hand.joint_names)
     groups = by_spread(whole, hand)
-    pinching = []
-    for group in groups if len(hand.card.fingers) > 1 else []:
-        pinching += _pinching(group, find_tips(hand), hand, fields, is_only=len(groups) == 1)
-    return whole + pinching
-
-
-def closing_target(hand: HandModel, joints: Float[Array, "d"]) -> Float[Array, "d"]:
-    """Where a posture's fingers end when nothing stops them: spread joints stay where they are."""
-    return np.where(_closes(hand), hand.card.closed_joints, joints)
+    if len(hand.card.fingers) < 2 or any(np.isfinite(posture.reach) for posture in whole):
+        return whole
+    tips = find_tips(hand)
+    return whole + [tip for group in groups for tip in _pinching(group, tips, hand, fields, is_only=len(groups) == 1)]
 
 
 def by_spread(whole: Sequence[Posture], hand: HandModel) -> list[list[Posture]]:
@@ -138,7 +122,7 @@ def _pinching(
     to the next, since the less fingers have to close, the less their tips leave the place where they are wanted."""
     count = hand.card.preshapes.fingertips
     widest = group[int(np.argmax([_spread(tip_places(posture.joints, tips, hand)) for posture in group]))]
-    closed = closing_target(hand, widest.joints)
+    closed = widest.closed
     way = [widest.joints + u * (closed - widest.joints) for u in np.linspace(0, 1, CLOSING_STEPS)]
     places = np.array([tip_places(joints, tips, hand) for joints in way])
     nearest = int(np.argmin([_spread(place) for place in places]))
@@ -150,9 +134,14 @@ def _pinching(
     wanted = gap[0] / 2.0 ** np.arange(count)
     fractions = np.interp(-wanted, -gap, np.linspace(0, 1, CLOSING_STEPS)[: meeting + 1])
     prefix = "" if is_only else f"{widest.name}_"
+    shares = balanced_shares(open_by[0])
     return [
-        Posture(f"{prefix}fingertips_{1000 * width:.0f}mm", widest.joints + u * (closed - widest.joints), shares)
-        for shares in [balanced_shares(open_by[0])]
+        replace(
+            widest,
+            name=f"{prefix}fingertips_{1000 * width:.0f}mm",
+            joints=widest.joints + u * (closed - widest.joints),
+            finger_shares=shares,
+        )
         for width, u in zip(wanted, fractions, strict=True)
     ]
 

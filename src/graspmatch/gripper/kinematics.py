@@ -14,8 +14,9 @@ from scipy.optimize import lsq_linear
 
 from graspmatch.errors import GraspmatchError
 from graspmatch.geometry.se3 import from_parts, inverse
-from graspmatch.gripper.card import Card, preshape_joints, read_card
+from graspmatch.gripper.card import Card, postures, read_card
 from graspmatch.gripper.description import Description, read_description
+from graspmatch.gripper.find_description import find_description
 from graspmatch.gripper.toml_table import unknown
 from graspmatch.types import Link
 
@@ -54,7 +55,7 @@ def load_hand(card_path: Path | str, description_override: Path | str | None = N
     """The hand of a card, with its own description or another file of it; cached until card or description change."""
     card_path = Path(card_path).absolute()
     card = read_card(card_path)
-    description = Path(description_override or card.description).absolute()
+    description = _described_by(card, description_override)
     hand = _load_hand(card_path, description, _stamp(card_path), _stamp(description))
     if _stamps(hand.description) != hand.stamps:  # a mesh or an included file is another one now
         _load_hand.cache_clear()
@@ -81,7 +82,9 @@ def check_card(card: Card, description: Description) -> None:
         if named.count(name) > 1:
             raise GraspmatchError(f"{card.path}: link '{name}' can belong to the palm or to one finger, not to two.")
     lower, upper = _limits(description, card.joint_names)
-    shapes = [("open", card.open_joints), ("closed", card.closed_joints), *preshape_joints(card, card.joint_names)]
+    shapes = [("open", card.open_joints), ("closed", card.closed_joints)]
+    for posture in postures(card, card.joint_names):
+        shapes += [(posture.name, posture.joints), (f"{posture.name}, closed", posture.closed)]
     for shape, values in shapes:
         for name, value, low, high in zip(card.joint_names, values, lower, upper, strict=True):
             if not low - LIMIT_SLACK <= value <= high + LIMIT_SLACK:
@@ -112,11 +115,31 @@ def pose_links(hand: HandModel, driven: Float[Array, "d"]) -> Float[Array, "l 4 
     return inverse(T_world_body[hand.description.base_body]) @ T_world_body[list(hand.description.link_bodies)]
 
 
+def _described_by(card: Card, override: Path | str | None) -> Path:
+    """The description's file; where it does not come with the card and is not found, the error says where to get it."""
+    try:
+        path = find_description(override or card.description)
+    except GraspmatchError as error:
+        raise GraspmatchError(f"{error} {_hint(card)}") from error
+    if not override and card.source and not path.is_file():
+        raise GraspmatchError(f"The description of {card.name} is not at {path}. {_hint(card)}")
+    return path
+
+
+def _hint(card: Card) -> str:
+    return f"{card.name} is described by {card.source}; give that file with --description." if card.source else ""
+
+
 @lru_cache(maxsize=32)
 def _load_hand(card_path: Path, description_path: Path, card_stamp: int, description_stamp: int) -> HandModel:
     card = read_card(card_path)
     description = read_description(description_path, card.base_link)
     check_card(card, description)
+    return assemble(card, description)
+
+
+def assemble(card: Card, description: Description) -> HandModel:
+    """The hand of a card and a description that fit each other."""
     lower, upper = _limits(description, card.joint_names)
     return HandModel(card, description, card.joint_names, lower, upper, description.links, _stamps(description))
 

@@ -14,7 +14,7 @@ from graspmatch.config import BakingConfig
 from graspmatch.gripper.bake import bake_links, bake_preshape, corridor
 from graspmatch.gripper.cache import read_gripper, write_gripper
 from graspmatch.gripper.description import content_hash
-from graspmatch.gripper.fingertips import postures
+from graspmatch.gripper.fingertips import with_fingertips
 from graspmatch.gripper.kinematics import HandModel, load_hand
 from graspmatch.gripper.zoo import card_path
 from graspmatch.types import Finger, Gripper
@@ -64,7 +64,8 @@ def bake_gripper(hand: HandModel, content: str, baking: BakingConfig) -> Gripper
     )
     open_joints, closed_joints = (np.array(values, dtype=float) for values in (card.open_joints, card.closed_joints))
     links = bake_links(hand.links, baking)
-    preshapes = [bake_preshape(hand, links, fingers, posture, baking) for posture in postures(hand, links.fields)]
+    postures = with_fingertips(hand, links.fields)
+    preshapes = [bake_preshape(hand, links, fingers, posture, baking) for posture in postures]
     return Gripper(
         name=card.name,
         description=hand.description.path,

@@ -19,6 +19,8 @@ from graspmatch.types import GraspmatchError, PointCloud
 
 CAMERA_HEIGHTS = (0.35, 0.6, 0.85)
 """Where the cameras stand, as fractions of the way from the palm to the tool centre point."""
+PRECISE_VIEWS = (0.0, 0.2)
+"""Where they stand in a precision posture, from its tool centre point back, in parts of its reach."""
 CAMERA_RAYS = 4000
 LATTICE_OFFSET = 0.317
 """In voxels: keeps faces at round numbers off the voxels' borders, where rounding would count them twice."""
@@ -32,19 +34,26 @@ def inner_surface(
     tool_centre_point: Float[np.ndarray, "3"],
     method: SampleMethod,
     voxel_size: float,
+    *,
+    reach: float = np.inf,
 ) -> PointCloud:
-    """Samples of the inner surface of one posture, one in each voxel, with outward normals; gripper frame [m]."""
-    caster = _RayCaster(mesh)
-    views = _camera_positions(caster, approach, tool_centre_point)
+    """Samples of the inner surface of one posture, one in each voxel, with outward normals; gripper frame [m].
+
+    Only what is within `reach` of the tool centre point counts [m].
+    """
+    caster = RayCaster(mesh)
+    views = _camera_positions(caster, approach, tool_centre_point, reach)
     see = _seen_by_rays if method == "camera" else _seen_samples
     points, normals = see(caster, views, voxel_size)
+    near = np.linalg.norm(points - tool_centre_point, axis=-1) <= reach
+    points, normals = points[near], normals[near]
     if len(points) < 10:
         raise GraspmatchError("The hand has no inner surface around its tool centre point: check the card's frames.")
     keep = _one_in_each_voxel(points, voxel_size)
     return PointCloud(points[keep], normals[keep])
 
 
-class _RayCaster:
+class RayCaster:
     """A mesh on the device and its face normals."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
@@ -67,19 +76,24 @@ class _RayCaster:
 
 
 def _camera_positions(
-    caster: _RayCaster, approach: Float[np.ndarray, "3"], tool_centre_point: Float[np.ndarray, "3"]
+    caster: RayCaster, approach: Float[np.ndarray, "3"], tool_centre_point: Float[np.ndarray, "3"], reach: float
 ) -> Float[np.ndarray, "v 3"]:
-    """On the axis from the palm, where a ray from the tool centre point meets it, to the tool centre point."""
-    reach, _ = caster.cast(tool_centre_point[None], -approach[None])
-    if reach[0] < 0:
+    """On the axis from the palm, where a ray from the tool centre point meets it, to the tool centre point.
+
+    Where the palm is out of reach, as it is in precision postures, beside the tool centre point.
+    """
+    back = float(caster.cast(tool_centre_point[None], -approach[None])[0][0])
+    if np.isfinite(reach) and not 0 <= back <= reach:
+        return tool_centre_point - np.outer(PRECISE_VIEWS, reach * approach)
+    if back < 0:
         raise GraspmatchError(
             "There is no palm behind the tool centre point, against the approach: check the card's tool_centre_point "
             "and approach, in the frame of its base_link."
         )
-    return tool_centre_point - (1 - np.array(CAMERA_HEIGHTS))[:, None] * reach[0] * approach
+    return tool_centre_point - (1 - np.array(CAMERA_HEIGHTS))[:, None] * back * approach
 
 
-def _seen_by_rays(caster: _RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):
+def _seen_by_rays(caster: RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):
     """The point clouds of the cameras, each looking all around."""
     directions = np.tile(fibonacci_directions(CAMERA_RAYS), (len(views), 1))
     origins = np.repeat(views, CAMERA_RAYS, axis=0)
@@ -89,7 +103,7 @@ def _seen_by_rays(caster: _RayCaster, views: Float[np.ndarray, "v 3"], voxel_siz
     return (origins + reach[:, None] * directions)[hit], normals[hit]
 
 
-def _seen_samples(caster: _RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):
+def _seen_samples(caster: RayCaster, views: Float[np.ndarray, "v 3"], voxel_size: float):
     """Samples of the mesh, about eight a voxel face, that at least one camera sees."""
     points, normals = sample_surface(caster.mesh, 8 / voxel_size**2, np.random.default_rng(0))
     seen = np.zeros(len(points), dtype=bool)

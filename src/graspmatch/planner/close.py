@@ -41,7 +41,8 @@ def meet_object(
         "fingers stopped by the table or an obstacle",
     )
     touching = np.sum(fraction <= 1, axis=-1)
-    keep = reaches & tally.keep(touching >= config.fewest_fingers, "fingers that close on nothing", among=reaches)
+    fewest = min(config.fewest_fingers, len(space.gripper.fingers))  # a single jaw closes on a fixed one, the palm
+    keep = reaches & tally.keep(touching >= fewest, "fingers that close on nothing", among=reaches)
     return keep, fraction
 
 
@@ -101,10 +102,12 @@ def contact_joints(
     preshape: Int[np.ndarray, "n"], fraction: Float[np.ndarray, "n f"], gripper: Gripper
 ) -> Float[np.ndarray, "n d"]:
     """Driven joint values where the fingers stop; a joint that several fingers move takes the mean of theirs."""
-    joints = np.array([posture.joints for posture in gripper.preshapes])[preshape]
+    joints, closed = (
+        np.array([getattr(p, name) for p in gripper.preshapes])[preshape] for name in ("joints", "closed")
+    )
     stop = stop_fractions(fraction, gripper)
     for j in range(len(gripper.joint_names)):
         moved = [f for f, finger in enumerate(gripper.fingers) if j in finger.joints]
         if moved:
-            joints[:, j] += stop[:, moved].mean(axis=-1) * (gripper.closed_joints[j] - joints[:, j])
+            joints[:, j] += stop[:, moved].mean(axis=-1) * (closed[:, j] - joints[:, j])
     return joints

@@ -9,7 +9,7 @@ from importlib.metadata import version
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.config import PathConfig, PlannerConfig, RankingConfig, check
+from graspmatch.config import ClosingConfig, PathConfig, PlannerConfig, RankingConfig, check
 from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space
@@ -46,7 +46,7 @@ def plan(
     """
     config = config or PlannerConfig()
     check(config)
-    if config.closing.fewest_fingers > len(gripper.fingers):
+    if config.closing.fewest_fingers > max(len(gripper.fingers), ClosingConfig().fewest_fingers):
         raise GraspmatchError(
             f"closing.fewest_fingers is {config.closing.fewest_fingers}; {gripper.name} has {len(gripper.fingers)}."
         )

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
-from graspmatch.geometry.se3 import apply
 from graspmatch.gripper.description import load_spec
-from graspmatch.gripper.kinematics import HandModel, pose_links
+from graspmatch.gripper.kinematics import HandModel
 from graspmatch.simulate.shape import PREFIX, give_true_shapes
-
-Array = np.ndarray
 
 BASE = "base"
 BASE_AXES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
@@ -31,6 +27,8 @@ MOST_DAMPING = {mujoco.mjtJoint.mjJNT_SLIDE: 1.0, mujoco.mjtJoint.mjJNT_HINGE: 0
 """Of a joint [N s/m, N m s], where the description gives more: files are careless, and the drive has its own."""
 FOLLOWER_SHARE = 0.1
 """Of a drive's inertia, for the joints that follow it."""
+SYNERGY = "synergy/"
+"""Prefix of the constraints by which the joints of a finger move as one; which ones, each trial says."""
 STIFF_SOLREF, STIFF_SOLIMP = (0.004, 1.0), (0.99, 0.999, 1e-4, 0.5, 2.0)
 """Of gears, couplings and end stops."""
 
@@ -45,8 +43,6 @@ def add_hand(spec: mujoco.MjSpec, hand: HandModel) -> None:
     for element in [*part.actuators, *part.excludes, *part.pairs, *part.keys, *part.sensors]:
         part.delete(element)
     _agree_on_options(part, spec)
-    for i, body in enumerate(part.bodies):
-        body.name = body.name or f"body_{i}"  # as the description calls it
     base = _add_base(spec)
     root = next(body for body in part.bodies if body.name == hand.card.base_link)
     for joint in list(root.joints):
@@ -59,42 +55,6 @@ def add_hand(spec: mujoco.MjSpec, hand: HandModel) -> None:
     give_true_shapes(spec, base, hand.description)
     _add_couplings(spec, hand)
     _add_drives(spec, hand)
-
-
-def drive_forces(hand: HandModel) -> Float[Array, "d"]:
-    """Force or torque [N or N m] of each driven joint that presses every fingertip of it with the rated force.
-
-    By virtual work, half way between open and closed: the tip is the point of the finger that moves fastest, and moves
-    by `lever` for each unit of the joint, couplings and linkages included. Zero for joints that only spread.
-    """
-    card = hand.card
-    motion = card.closed_joints - card.open_joints
-    middle = card.open_joints + motion / 2
-    step = 1e-3
-    link_of = {link.name: i for i, link in enumerate(hand.links)}
-    forces = np.zeros(len(motion))
-    for finger in card.fingers:
-        driven = [card.joint_names.index(name) for name in finger.joints]
-        links = [link_of[name] for name in finger.links]
-        way = np.where(np.isin(np.arange(len(motion)), driven), motion, 0.0)
-        velocity = _velocity(hand, links, middle, step * way) / step
-        tip = int(np.argmax(np.linalg.norm(velocity, axis=-1)))
-        direction = velocity[tip] / np.linalg.norm(velocity[tip])
-        for joint in driven:
-            one = np.zeros(len(motion))
-            one[joint] = step * motion[joint]
-            lever = _velocity(hand, links, middle, one)[tip] @ direction / abs(one[joint])
-            forces[joint] += card.finger_force * lever
-    return np.maximum(forces, 0.0)
-
-
-def _velocity(
-    hand: HandModel, links: list[int], driven: Float[Array, "d"], step: Float[Array, "d"]
-) -> Float[Array, "v 3"]:
-    """How far every vertex of some links moves over a step of the driven joints [m]."""
-    before, after = pose_links(hand, driven - step / 2), pose_links(hand, driven + step / 2)
-    meshes = [(i, hand.links[i].collision.vertices) for i in links]
-    return np.concatenate([apply(after[i], vertices) - apply(before[i], vertices) for i, vertices in meshes])
 
 
 def _agree_on_options(part: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
@@ -148,12 +108,22 @@ def _add_couplings(spec: mujoco.MjSpec, hand: HandModel) -> None:
 
 
 def _add_drives(spec: mujoco.MjSpec, hand: HandModel) -> None:
-    """A motor at each driven joint that closes."""
-    forces = drive_forces(hand)
-    for name, force in zip(hand.joint_names, forces, strict=True):
+    """A motor at each driven joint that closes, and room for constraints by which joints of a finger move as one."""
+    for name in hand.joint_names:
         joint = next(j for j in spec.joints if j.name == PREFIX + name)
         joint.armature = max(joint.armature, ARMATURE[joint.type])
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-        if force > 0:
+        if hand.card.joints[name].closed is not None:
             drive = spec.add_actuator(name=PREFIX + name, target=PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             drive.set_to_motor()
+    for finger in hand.card.fingers:
+        for name in finger.joints[1:]:
+            equality = spec.add_equality(
+                name=f"{SYNERGY}{finger.name}/{name}",
+                type=mujoco.mjtEq.mjEQ_JOINT,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                name1=PREFIX + name,
+                name2=PREFIX + finger.joints[0],
+                active=False,
+            )
+            equality.solref, equality.solimp = STIFF_SOLREF, STIFF_SOLIMP

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from graspmatch.simulate.stroke import Stroke, stroke_from
 from graspmatch.simulate.world import World, body_pose, object_pose
 
 Array = np.ndarray
@@ -57,11 +58,14 @@ class Run:
     phase: str = "approach"
     base: Float[Array, "3"] = field(default_factory=lambda: np.zeros(3))
     """Where the base shall be, from where it was placed [m]."""
+    stroke: Stroke = field(init=False)
+    """How the fingers close from here."""
     speed: Float[Array, "d"] = field(init=False)
     """Of the driven joints when nothing is in their way; zero: locked."""
     is_closing: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
+        self.stroke = stroke_from(self.world.hand, self.data.qpos[self.world.drive_qpos])
         self.hold_fingers()
 
     def step(self) -> None:
@@ -131,15 +135,27 @@ class Run:
 
     def _release_fingers(self, seconds: float) -> None:
         """Let the closing joints go to the card's closed posture, or back as far as the drives allow."""
-        world, card = self.world, self.world.hand.card
-        self.speed, self.is_closing = (card.closed_joints - card.open_joints) / seconds, True
+        world, card, stroke = self.world, self.world.hand.card, self.stroke
+        self.speed, self.is_closing = stroke.way / seconds, True
         for i in np.flatnonzero(self.speed):
             held = self.data.qpos[world.drive_qpos[i]]
             back = held if card.self_locking else world.drive_range[i, 0 if self.speed[i] > 0 else 1]
-            world.model.jnt_range[world.drive_joint[i]] = sorted((back, card.closed_joints[i]))
+            world.model.jnt_range[world.drive_joint[i]] = sorted((back, stroke.end[i]))
             # The line of a motor: the rated force at rest, none at full speed.
-            world.model.dof_damping[world.drive_dof[i]] = world.drive_force[i] / abs(self.speed[i])
-            self.data.ctrl[world.drive_motor[i]] = np.sign(self.speed[i]) * world.drive_force[i]
+            world.model.dof_damping[world.drive_dof[i]] = stroke.force[i] / abs(self.speed[i])
+            self.data.ctrl[world.drive_motor[i]] = np.sign(self.speed[i]) * stroke.force[i]
+        self._tie_followers()
+
+    def _tie_followers(self) -> None:
+        """The joints of each finger keep the proportion of their ways."""
+        world, model = self.world, self.world.model
+        self.data.eq_active[world.synergies] = 0
+        for e, (follower, (lead, ratio)) in zip(world.synergies, self.stroke.followers.items(), strict=False):
+            joints = [world.drive_joint[i] for i in (follower, lead)]
+            home, here = (q[model.jnt_qposadr[joints]] for q in (model.qpos0, self.data.qpos))
+            model.eq_obj1id[e], model.eq_obj2id[e] = joints
+            model.eq_data[e, :5] = (here - home)[0] - ratio * (here - home)[1], ratio, 0, 0, 0
+            self.data.eq_active[e] = 1
 
     def _advance_ratchets(self) -> None:
         """What cannot be pushed back keeps what it has closed, but for the backlash."""

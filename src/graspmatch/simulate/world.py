@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from graspmatch.errors import GraspmatchError
 from graspmatch.geometry.se3 import from_parts, quaternion_from_matrix
 from graspmatch.gripper.kinematics import HandModel, solve_posture
-from graspmatch.simulate.hand import BASE, BASE_AXES, HAND_BIT, OBJECT_BIT, TABLE_BIT, add_hand, drive_forces
+from graspmatch.simulate.hand import BASE, BASE_AXES, HAND_BIT, OBJECT_BIT, SYNERGY, TABLE_BIT, add_hand
 from graspmatch.simulate.rigid_body import RigidBody
 from graspmatch.simulate.shape import PREFIX
 
@@ -60,7 +60,8 @@ class World:
     drive_dof: Int[Array, "d"]
     drive_motor: Int[Array, "d"]
     """-1 where a joint only spreads."""
-    drive_force: Float[Array, "d"]
+    synergies: Int[Array, "s"]
+    """Constraints that are free to tie joints of a finger to each other."""
     drive_range: Float[Array, "d 2"]
     """Limits of the driven joints in the description."""
     joint_qpos: Int[Array, "q"]
@@ -157,7 +158,7 @@ def build_world(target: RigidBody, hand: HandModel, physics: Physics) -> World:
         drive_qpos=model.jnt_qposadr[drives],
         drive_dof=model.jnt_dofadr[drives],
         drive_motor=np.array(motors),
-        drive_force=drive_forces(hand),
+        synergies=np.array([e for e in range(model.neq) if model.eq(e).name.startswith(SYNERGY)], dtype=int),
         drive_range=model.jnt_range[drives].copy(),
         joint_qpos=np.array([model.joint(PREFIX + name).qposadr[0] for name in names]),
         posture_qpos=np.array([own.joint(name).qposadr[0] for name in names]),

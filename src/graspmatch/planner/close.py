@@ -39,9 +39,11 @@ def meet_object(
     reaches = tally.keep(
         ~np.any(blocked <= stop_fractions(fraction, space.gripper), axis=-1),
         "fingers stopped by the table or an obstacle",
+        of=free,
     )
     touching = np.sum(fraction <= 1, axis=-1)
-    keep = reaches & tally.keep(touching >= config.fewest_fingers, "fingers that close on nothing", among=reaches)
+    touches = touching >= config.fewest_fingers
+    keep = reaches & tally.keep(touches, "fingers that close on nothing", among=reaches, of=free)
     return keep, fraction
 
 

@@ -19,6 +19,7 @@ from graspmatch.planner.close import close_fingers
 from graspmatch.planner.grade import foremost, stopped
 from graspmatch.planner.match import match, prepare
 from graspmatch.planner.rank import rank
+from graspmatch.planner.recording import Recording
 from graspmatch.planner.refine import Judge, joined, judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.stopwatch import Stopwatch
@@ -33,11 +34,13 @@ def plan(
     config: PlannerConfig | None = None,
     *,
     starts_world_gripper: Float[np.ndarray, "n 4 4"] | None = None,
+    recording: Recording | None = None,
 ) -> GraspSet:
     """Ranked grasps, best first, in the frame of the scene's input; an empty set explains itself.
 
     `starts_world_gripper` are poses to start from (another planner's, say) in place of the configured seeds; they are
-    refined where they are, without the Stein phase.
+    refined where they are, without the Stein phase. `recording` keeps every particle at every iteration and all that
+    were dropped; it costs time and changes nothing.
     Raises `GraspmatchError` for a device that is not there, and for a configuration that makes no sense.
     """
     config = config or PlannerConfig()
@@ -48,7 +51,7 @@ def plan(
         )
     device = resolve_device(config.device)
     rng = np.random.default_rng(config.seed)
-    watch, tally = Stopwatch(), Tally(0)
+    watch, tally = Stopwatch(), Tally(0, recording)
     if starts_world_gripper is not None:  # what another planner chose is not scattered by the search for orientations
         config = replace(config, matching=replace(config.matching, stein_iterations=0))
     problem = prepare(scene, gripper, config.matching, rng, device)
@@ -66,7 +69,8 @@ def plan(
         if graded.confidence.max(initial=0.0) >= config.refining.enough:
             break
     assert graded is not None  # there is one batch at least
-    graded = graded.select(tally.keep(graded.confidence >= least_confidence(scene, config.ranking), UNSURE))
+    is_sure = graded.confidence >= least_confidence(scene, config.ranking)
+    graded = graded.select(tally.keep(is_sure, UNSURE, of=graded))
     order = rank(graded, graded.confidence, config.ranking, tally, "ranked lower than asked for")
     graded = stopped(graded.select(order), judge.target, gripper, config.grip, device)
     watch.lap("rank")
@@ -89,7 +93,7 @@ def candidates_from(
     """All that becomes of some starts, graded and refined."""
     gripper, config, space = judge.gripper, judge.config, judge.space
     tally.add("candidates", len(starts))
-    matched = match(starts, judge.problem, config.matching, rng)  # Algorithm 1 of the paper
+    matched = match(starts, judge.problem, config.matching, rng, tally.recording)  # Algorithm 1 of the paper
     watch.lap("match")
     free = keep_free(matched, space, config.collision, tally)  # hand and approach sweep
     watch.lap("avoid")

@@ -10,7 +10,7 @@ from typing import Literal
 
 import tyro
 
-from graspmatch.apps.options import Bench, Command, Convert, Demo, Grippers, Parsed, Simulate
+from graspmatch.apps.options import Bench, Command, Convert, Demo, Grippers, Parsed, Simulate, View
 from graspmatch.errors import GraspmatchError
 
 DESCRIPTION = """Plan 6-DoF grasps for any hand from a mesh or a point cloud.
@@ -65,6 +65,10 @@ def run(command: Parsed) -> int:
         from graspmatch.apps.convert import convert
 
         return convert(command, say)
+    if isinstance(command, View):
+        from graspmatch.apps.viewer.command import view
+
+        return view(command, parse_table(command.table), say)
     return commands.plan_file(
         command.input,
         command.gripper,
@@ -77,6 +81,7 @@ def run(command: Parsed) -> int:
         obstacles=command.obstacles,
         capture=command.capture,
         starts=command.starts,
+        view=command.view,
     )
 
 

@@ -76,14 +76,19 @@ def plan_file(
     obstacles: Path | None,
     capture: Capture,
     starts: Path | None,
+    view: bool,
 ) -> int:
     """Plan grasps for the object of a file, show and write them; the result is the exit status."""
     outputs.check()
+    if view:
+        from graspmatch.apps.viewer.command import check_library
+
+        check_library()
     with say.progress("Reading the scene"):
         scene = read_scene(path, capture, table=table, unit=unit, obstacles=obstacles)
     hand = load_hand(gripper_name, description, config, say)
     start_grasps = None if starts is None else read_grasps(starts, hand.gripper)
-    return plan_and_report(scene, hand, config, say, outputs, starts=start_grasps)
+    return plan_and_report(scene, hand, config, say, outputs, starts=start_grasps, view=view)
 
 
 def demo(folder: Path, config: PlannerConfig, say: Speech) -> int:
@@ -148,15 +153,24 @@ def load_hand(name: str, description: Path | None, config: PlannerConfig, say: S
 
 
 def plan_and_report(
-    scene: Scene, hand: Hand, config: PlannerConfig, say: Speech, outputs: Outputs, *, starts: GraspSet | None = None
+    scene: Scene,
+    hand: Hand,
+    config: PlannerConfig,
+    say: Speech,
+    outputs: Outputs,
+    *,
+    starts: GraspSet | None = None,
+    view: bool = False,
 ) -> int:
     """Plan, write the files where there are grasps, show what came out; the result is the exit status."""
     from graspmatch.planner.plan import plan
+    from graspmatch.planner.recording import Recording
 
+    recording = Recording() if view else None
     begin = time.perf_counter()
     poses = None if starts is None else starts.T_world_gripper
     with say.progress("Planning (the first time, the kernels are compiled)"):
-        grasps = plan(scene, hand.gripper, config, starts_world_gripper=poses)
+        grasps = plan(scene, hand.gripper, config, starts_world_gripper=poses, recording=recording)
     planned = f"Planned in {time.perf_counter() - begin:.2f} s on {grasps.provenance.device}"
     for note in scene.notes:
         say.show(f"Note: {note}")
@@ -168,7 +182,12 @@ def plan_and_report(
         say.show(grasps.explain())
         say.show(f"{planned}; no file was written." if outputs.all else f"{planned}.")
     if say.as_json:
-        print(json.dumps(report.record_of_grasps(grasps, hand.gripper), allow_nan=False))
+        print(json.dumps(report.record_of_grasps(grasps, hand.gripper), allow_nan=False), flush=True)
+    if recording is not None:
+        from graspmatch.apps.viewer.command import serve
+        from graspmatch.apps.viewer.shown import shown_of
+
+        serve(shown_of(hand, grasps, scene, recording, config.device), config, say)
     return 0 if len(grasps) else NOT_FOUND
 
 

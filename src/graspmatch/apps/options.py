@@ -62,6 +62,8 @@ class Plan:
     capture: Annotated[Capture, tyro.conf.arg(name="")] = field(default_factory=Capture)
     starts: Path | None = None
     """Grasps to start from in place of the configured seeds: a file of this or another planner in any format."""
+    view: bool = False
+    """Then show the grasps, and how they were found, on a page in the browser."""
     json: bool = False
     """Print one JSON object on stdout and everything else on stderr."""
     quiet: bool = False
@@ -191,6 +193,33 @@ class Convert:
     """Print the traceback of an error."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """Show grasps on a page in the browser: how the hand moves and what it touches; and plan others there."""
+
+    grasps: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="GRASPS")]
+    """File of grasps: .npz, Isaac .yaml, GraspNet .npy, or another format (docs/formats.md)."""
+    object: Path | None = None
+    """Mesh or cloud of the object, in the frame of the grasps."""
+    gripper: str | None = None
+    """Name of a known hand, or path of a card; none: the hand that the file names."""
+    description: Path | None = None
+    """URDF or MJCF file to use instead of the one that the card names."""
+    table: Annotated[str, tyro.conf.arg(metavar="auto|none|z=HEIGHT")] = "auto"
+    """Plane that the object stands on: under its lowest point, none, or at a height in the unit of the object."""
+    unit: Literal["auto", "m", "mm", "cm"] = "auto"
+    """Unit of length of the object."""
+    port: int = 8080
+    """Where the page is served, on this machine only; if it is taken, the next that is free."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+    config: Config = field(default_factory=PlannerConfig)
+
+
 Command = (
     Annotated[Plan, tyro.conf.subcommand("plan")]
     | Annotated[Grippers, tyro.conf.subcommand("grippers")]
@@ -198,5 +227,6 @@ Command = (
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Convert, tyro.conf.subcommand("convert")]
+    | Annotated[View, tyro.conf.subcommand("view")]
 )
-Parsed = Plan | Grippers | Demo | Simulate | Bench | Convert
+Parsed = Plan | Grippers | Demo | Simulate | Bench | Convert | View

@@ -13,6 +13,7 @@ from rich.progress import track
 from rich.table import Table
 
 from graspmatch.apps.bench.objects import object_name
+from graspmatch.apps.named_hand import named_hand
 from graspmatch.apps.options import Simulate
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
@@ -22,10 +23,9 @@ from graspmatch.formats.files import check_place
 from graspmatch.formats.registry import NO_HAND, read_grasps, suffix_of
 from graspmatch.geometry.mesh import transformed
 from graspmatch.geometry.se3 import translation
-from graspmatch.gripper.card import read_card
 from graspmatch.gripper.kinematics import HandModel, load_hand
 from graspmatch.gripper.load import load_gripper
-from graspmatch.gripper.zoo import card_path, known_grippers
+from graspmatch.gripper.zoo import card_path
 from graspmatch.scene.scene import Scene
 from graspmatch.simulate.convex import convex_parts
 from graspmatch.simulate.judge import PROTOCOLS, ProtocolConfig, judge, try_grasp, world_of
@@ -120,11 +120,7 @@ def _hand_and_grasps(command: Simulate) -> tuple[HandModel, GraspSet]:
         gripper = load_gripper(command.gripper, description=command.description) if needs_hand else None
         return load_hand(card, command.description), read_grasps(command.grasps, gripper)
     grasps = read_grasps(command.grasps)
-    named = grasps.provenance.gripper
-    known = {read_card(card_path(name)).name: name for name in known_grippers()}
-    if named not in known:
-        raise GraspmatchError(f"{command.grasps} is for '{named or 'no hand'}', which is not built in: give --gripper.")
-    return load_hand(card_path(known[named]), command.description), grasps
+    return load_hand(card_path(named_hand(grasps, command.grasps)), command.description), grasps
 
 
 def _protocol(command: Simulate) -> ProtocolConfig:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,8 @@ GALLERY = (
 
 def scene_and_hand(hand: str, thing: str) -> tuple[Scene, Hand]:
     """What a picture shows."""
-    return Scene.from_mesh(OBJECTS[thing]().mesh), load_hand(hand, None, CONFIG, Speech(quiet=True))
+    scene = replace(Scene.from_mesh(OBJECTS[thing]().mesh), source=thing)
+    return scene, load_hand(hand, None, CONFIG, Speech(quiet=True))
 
 
 def gallery() -> None:
@@ -75,12 +77,18 @@ def viewer() -> None:
         page.panel.also.value = 0
         tab.get_by_role("tab", name="Search").click()
         page.panel.particles.value = True
-        for iteration in (0, 15, len(page.search) - 1):
+        for name, iteration in (("start", 0), ("spread", 15), ("end", len(page.search) - 1)):
             page.panel.iteration.value = iteration
-            shoot(tab, f"viewer-search-{iteration}")
+            shoot(tab, f"viewer-search-{name}")
         page.panel.particles.value = False
         page.panel.rejected.value = True
         shoot(tab, "viewer-rejected")
+        tab.get_by_role("tab", name="Plan").click()
+        page.panel.rejected.value = False
+        page.panel.hand.value, page.panel.scene.value = "barrett_bh282", "bottle"
+        page.replan()
+        page.panel.also.value = 3
+        shoot(tab, "viewer-plan")
         browser.close()
 
 

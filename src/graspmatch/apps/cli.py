@@ -10,7 +10,7 @@ from typing import Literal
 
 import tyro
 
-from graspmatch.apps.options import Bench, Command, Convert, Demo, Grippers, Parsed, Simulate, View
+from graspmatch.apps.options import Bench, Command, Convert, Demo, Grippers, Parsed, Report, Simulate, View
 from graspmatch.errors import GraspmatchError
 
 DESCRIPTION = """Plan 6-DoF grasps for any hand from a mesh or a point cloud.
@@ -69,6 +69,10 @@ def run(command: Parsed) -> int:
         from graspmatch.apps.viewer.command import view
 
         return view(command, parse_table(command.table), say)
+    if isinstance(command, Report):
+        from graspmatch.apps.report_page import report
+
+        return report(command, parse_table(command.table), say)
     return commands.plan_file(
         command.input,
         command.gripper,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graspmatch.apps.named_hand import named_hand
+from graspmatch.apps.grasp_file import named_hand
 from graspmatch.apps.options import Convert
 from graspmatch.apps.speech import Speech
 from graspmatch.errors import GraspmatchError

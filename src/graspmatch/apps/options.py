@@ -220,6 +220,34 @@ class View:
     config: Config = field(default_factory=PlannerConfig)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Write one HTML page about the grasps of a file: pictures, table, timing, what became of the candidates."""
+
+    grasps: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="GRASPS")]
+    """File of grasps: .npz, Isaac .yaml, GraspNet .npy, or another format (docs/formats.md)."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Page to write (.html); it holds everything and opens without a network."""
+    object: Path | None = None
+    """Mesh or cloud of the object, in the frame of the grasps; without it there is no picture."""
+    verdicts: Path | None = None
+    """What `graspmatch simulate --json` printed about these grasps."""
+    gripper: str | None = None
+    """Name of a known hand, or path of a card; none: the hand that the file names."""
+    description: Path | None = None
+    """URDF or MJCF file to use instead of the one that the card names."""
+    table: Annotated[str, tyro.conf.arg(metavar="auto|none|z=HEIGHT")] = "auto"
+    """Plane that the object stands on: under its lowest point, none, or at a height in the unit of the object."""
+    unit: Literal["auto", "m", "mm", "cm"] = "auto"
+    """Unit of length of the object."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+
+
 Command = (
     Annotated[Plan, tyro.conf.subcommand("plan")]
     | Annotated[Grippers, tyro.conf.subcommand("grippers")]
@@ -228,5 +256,6 @@ Command = (
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
 )
-Parsed = Plan | Grippers | Demo | Simulate | Bench | Convert | View
+Parsed = Plan | Grippers | Demo | Simulate | Bench | Convert | View | Report

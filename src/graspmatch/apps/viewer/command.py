@@ -6,18 +6,18 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import replace
 from functools import lru_cache
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from graspmatch.apps.commands import Hand, load_hand
-from graspmatch.apps.named_hand import named_hand
+from graspmatch.apps.grasp_file import hand_and_grasps
 from graspmatch.apps.options import View
 from graspmatch.apps.speech import Speech
 from graspmatch.config import PlannerConfig
 from graspmatch.errors import GraspmatchError
-from graspmatch.formats.registry import NO_HAND, read_grasps, suffix_of
 from graspmatch.gripper.zoo import known_grippers
 from graspmatch.planner.recording import Recording
 from graspmatch.scene.scene import Scene
@@ -33,21 +33,7 @@ FIRST_PORT = 8080
 def view(command: View, table: float | Literal["auto"] | None, say: Speech) -> int:
     """Show the grasps of a file until the user ends it; the result is the exit status."""
     check_library()
-    hand, grasps = None, None
-    if command.gripper is not None:
-        hand = load_hand(command.gripper, command.description, command.config, say)
-    if hand is None or suffix_of(command.grasps) not in NO_HAND:
-        grasps = read_grasps(command.grasps)
-    if hand is None:
-        assert grasps is not None
-        hand = load_hand(named_hand(grasps, command.grasps), command.description, command.config, say)
-    if grasps is None:
-        grasps = read_grasps(command.grasps, hand.gripper)
-    if grasps.joint_names != hand.gripper.joint_names:
-        raise GraspmatchError(
-            f"{command.grasps} has the joints {', '.join(grasps.joint_names)}; {hand.gripper.name} has "
-            f"{', '.join(hand.gripper.joint_names)}."
-        )
+    hand, grasps = hand_and_grasps(command.grasps, command.gripper, command.description, command.config, say)
     scene = None
     if command.object is not None:
         with say.progress(f"Reading {command.object.name}"):
@@ -100,7 +86,8 @@ def catalogue_of(shown: Shown, config: PlannerConfig) -> tuple[Catalogue, str]:
         name: lambda name=name: load_hand(name, None, config, quiet) for name in known_grippers()
     }
     scenes: dict[str, Callable[[], Scene]] = {
-        name: lambda make=make: Scene.from_mesh(make().mesh) for name, make in sorted(OBJECTS.items())
+        name: lambda name=name, make=make: replace(Scene.from_mesh(make().mesh), source=name)
+        for name, make in sorted(OBJECTS.items())
     }
     hands = {shown.hand.gripper.name: lambda: shown.hand} | hands
     hands[shown.hand.gripper.name] = lambda: shown.hand

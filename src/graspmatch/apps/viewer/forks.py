@@ -10,15 +10,16 @@ from graspmatch.types import Gripper
 
 Array = np.ndarray
 
-FINGER = 0.45
-"""Length of the fork's tines, as a share of the distance from the hand's base to its tool centre point."""
+FINGER, STEM = 0.45, 0.3
+"""Lengths of tines and stem, as shares of the distance from the hand's base to its tool centre point."""
 
 
 def fork(gripper: Gripper) -> Float[Array, "4 2 3"]:
     """Stem, bar and two tines of a hand, gripper frame [m]."""
     tip = gripper.tool_centre_point
     length = max(float(tip @ gripper.approach), 0.02)
-    palm, base = tip - FINGER * length * gripper.approach, tip - length * gripper.approach
+    palm = tip - FINGER * length * gripper.approach
+    base = palm - STEM * length * gripper.approach
     side = gripper.opening / 2 * gripper.closing
     return np.array([[base, palm], [palm - side, palm + side], [palm - side, tip - side], [palm + side, tip + side]])
 

@@ -38,12 +38,6 @@ class MovingHand:
         for node in self.links:
             node.color = (int(colour[0]), int(colour[1]), int(colour[2]))
 
-    @property
-    def T_world_gripper_position(self) -> tuple[float, float, float]:
-        """Where the gripper frame is [m]."""
-        x, y, z = self.root.position
-        return float(x), float(y), float(z)
-
 
 @dataclass(frozen=True)
 class HandShape:
@@ -101,10 +95,11 @@ def add_many_hands(
     return nodes
 
 
-def show_first(nodes: Sequence[viser.BatchedMeshHandle], count: int) -> None:
-    """Show so many of a batch: the others have no size."""
+def show_first(nodes: Sequence[viser.BatchedMeshHandle], count: int, *, without: int) -> None:
+    """Show so many of a batch, less the one that the moving hand is at: the others have no size."""
     for node in nodes:
-        node.batched_scales = (np.arange(len(node.batched_positions)) < count).astype(np.float32)
+        number = np.arange(len(node.batched_positions))
+        node.batched_scales = ((number < count) & (number != without)).astype(np.float32)
         node.visible = count > 0
 
 

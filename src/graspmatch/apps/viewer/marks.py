@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from graspmatch.apps.viewer.contacts import Contacts, cone
 from graspmatch.apps.viewer.forks import forks_at
-from graspmatch.apps.viewer.palette import CONTACT, PARTICLE, colour_of_reason
+from graspmatch.apps.viewer.palette import CONE, CONTACT, PARTICLE, colour_of_reason
 from graspmatch.geometry.se3 import quaternion_from_matrix, rotation_facing
 from graspmatch.planner.recording import Recording
 from graspmatch.types import Gripper
@@ -38,7 +38,7 @@ def draw_contacts(server: viser.ViserServer, contacts: Contacts, friction: float
         wxyz,
         contacts.points,
         batched_scales=width.astype(np.float32),
-        batched_colors=CONTACT,
+        batched_colors=CONE,
         opacity=0.8,
         side="double",
         cast_shadow=False,

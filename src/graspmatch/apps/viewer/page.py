@@ -126,7 +126,6 @@ class Page:
 
     def _draw_all(self) -> None:
         self._draw_grasp()
-        self._draw_others()
         self._draw_object()
         self._draw_particles()
         self._draw_rejected()
@@ -136,6 +135,7 @@ class Page:
             self.hand.paint(self.colours[self.index])
         self._draw_moment()
         self._draw_contacts()
+        self._draw_others()
 
     def _draw_moment(self) -> None:
         if self.hand is None:
@@ -155,9 +155,10 @@ class Page:
             marks.draw_contacts(self.server, self.shown.contacts[self.index], self.panel.friction.value)
         else:
             marks.clear_contacts(self.server)
+        self._draw_hand()
 
     def _draw_others(self) -> None:
-        hands.show_first(self.others, self.panel.also.value)
+        hands.show_first(self.others, self.panel.also.value, without=self.index)
 
     def _draw_object(self) -> None:
         if self.stage is not None:
@@ -165,7 +166,15 @@ class Page:
             if self.stage.mesh is not None:
                 self.stage.mesh.visible = self.panel.mesh.value
 
+    def _draw_hand(self) -> None:
+        """The hand and what it touches make room for those of the search."""
+        searching = self.panel.particles.value or self.panel.rejected.value
+        for node in (self.hand and self.hand.root, self.server.scene.get_handle_by_name("/contacts")):
+            if node:
+                node.visible = not searching
+
     def _draw_particles(self) -> None:
+        self._draw_hand()
         if self.particles is None:
             return
         self.particles.visible = self.panel.particles.value
@@ -173,6 +182,7 @@ class Page:
             self.particles.points = forks_at(self.shown.hand.gripper, self.search[self.panel.iteration.value])
 
     def _draw_rejected(self) -> None:
+        self._draw_hand()
         chosen = self.panel.reason.value
         for reason, node in self.rejected.items():
             node.visible = self.panel.rejected.value and chosen in (panel.ALL_REASONS, reason)

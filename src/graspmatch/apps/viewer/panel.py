@@ -93,7 +93,7 @@ def summary_html(shown: Shown) -> str:
     stops = ", ".join(css((int(r), int(g), int(b))) for r, g, b in SCALE)
     bar = f'<span style="flex:1;height:0.7em;border-radius:3px;background:linear-gradient(to right,{stops})"></span>'
     return head + (
-        f'<div style="display:flex;align-items:center;gap:0.5em;margin:0.2em 1em;font-size:0.85em">score '
+        f'<div style="display:flex;align-items:center;gap:0.5em;margin:0.2em 1em 0.8em;font-size:0.85em">score '
         f"{low:.2f}{bar}{high:.2f}</div>"
     )
 

@@ -19,7 +19,7 @@ Array = np.ndarray
 
 SPACING = 0.0025
 """Distance between the points of a scene, by which they are drawn so large that they nearly touch [m]."""
-GLASSY = 0.6
+GLASSY = 0.45
 """Opacity of the mesh: contacts behind it are seen."""
 MARGIN = 0.12
 """How far the table reaches beyond what stands on it [m]."""

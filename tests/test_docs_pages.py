@@ -1,4 +1,4 @@
-"""`make docs`: the pages are built without a warning, lead nowhere that is not there, and load nothing from elsewhere."""
+"""`make docs`: pages that are built without a warning, lead nowhere that is not there, load nothing from elsewhere."""
 
 from __future__ import annotations
 

@@ -181,13 +181,14 @@ def plan_and_report(
     else:
         say.show(grasps.explain())
         say.show(f"{planned}; no file was written." if outputs.all else f"{planned}.")
-    if say.as_json:
-        print(json.dumps(report.record_of_grasps(grasps, hand.gripper), allow_nan=False), flush=True)
+    record = report.record_of_grasps(grasps, hand.gripper) if say.as_json else {}
     if recording is not None:
         from graspmatch.apps.viewer.command import serve
         from graspmatch.apps.viewer.shown import shown_of
 
-        serve(shown_of(hand, grasps, scene, recording, config.device), config, say)
+        serve(shown_of(hand, grasps, scene, recording, config.device), config, say, record)
+    elif say.as_json:
+        print(json.dumps(record, allow_nan=False))
     return 0 if len(grasps) else NOT_FOUND
 
 

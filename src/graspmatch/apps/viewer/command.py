@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from functools import lru_cache
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from graspmatch.apps.commands import Hand, load_hand
 from graspmatch.apps.grasp_file import hand_and_grasps
@@ -42,18 +42,22 @@ def view(command: View, table: float | Literal["auto"] | None, say: Speech) -> i
 
     with say.progress("Making the page ready"):
         shown = shown_of(hand, grasps, scene, Recording(), command.config.device)
-    return serve(shown, command.config, say, port=command.port)
+    return serve(shown, command.config, say, {"grasps": len(grasps)}, port=command.port)
 
 
-def serve(shown: Shown, config: PlannerConfig, say: Speech, *, port: int = FIRST_PORT) -> int:
-    """Serve a page on this machine only, until the user ends it; the result is the exit status."""
-    with page_of(shown, config, port=port) as page:
+def serve(shown: Shown, config: PlannerConfig, say: Speech, record: dict[str, Any], *, port: int = FIRST_PORT) -> int:
+    """Serve a page on this machine only, until the user ends it; the result is the exit status.
+
+    With `--json` the record is printed once the page is up, its address with it.
+    """
+    with page_of(shown, config, port=port) as page, suppress(KeyboardInterrupt):
         url = f"http://{HOST}:{page.server.get_port()}"
         say.show(f"Open {url} in a browser; Ctrl-C ends it.")
         if say.as_json:
-            print(json.dumps({"url": url, "grasps": len(shown.grasps)}), flush=True)
+            print(json.dumps({**record, "url": url}, allow_nan=False), flush=True)
         while True:
             time.sleep(3600)
+    return 0
 
 
 @contextmanager

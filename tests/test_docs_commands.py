@@ -34,10 +34,20 @@ NOT_RUN = {
 """Words of commands that are parsed only, in tests/test_readme.py, and why."""
 
 
-def commands(page: Path) -> list[list[str]]:
-    """The words of each command of a page that is run."""
-    lines = [line.split(" #")[0] for line in page.read_text().splitlines() if line.startswith("    graspmatch ")]
-    return [words for line in lines if not NOT_RUN.keys() & set(words := shlex.split(line)[1:])]
+def commands_of_pages() -> dict[Path, list[list[str]]]:
+    """The words of each command that is run, under the first page that has it."""
+    known: set[str] = set()
+    found: dict[Path, list[list[str]]] = {page: [] for page in PAGES}
+    for page in PAGES:
+        for line in page.read_text().splitlines():
+            words = shlex.split(line.split(" #")[0])[1:] if line.startswith("    graspmatch ") else []
+            if words and not NOT_RUN.keys() & set(words) and shlex.join(words) not in known:
+                known.add(shlex.join(words))
+                found[page].append(words)
+    return found
+
+
+COMMANDS = commands_of_pages()
 
 
 @pytest.fixture(scope="module")
@@ -82,12 +92,12 @@ def here(files: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     assert Path(os.getcwd()) == files
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [page for page in PAGES if COMMANDS[page]], ids=lambda page: page.name)
 def test_commands_of_the_pages_do_what_they_say(page: Path, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     if page.name in ("simulation.md", "formats.md"):  # they begin with grasps that were planned before
         for name in ("grasps.yaml", "grasps.npz"):
             assert main(["plan", "mug.stl", "--gripper", "franka_hand", "--count", "4", "-o", name, "--quiet"]) == 0
-    for words in commands(page):
+    for words in COMMANDS[page]:
         if words[0] == "simulate" and "--first" not in words:
             words = [*words, "--first", "1"]  # each takes a while
         status = main(words)
@@ -100,4 +110,4 @@ def test_commands_of_the_pages_do_what_they_say(page: Path, here: Path, capsys: 
 
 
 def test_every_page_with_commands_is_run() -> None:
-    assert sum(len(commands(page)) for page in PAGES) >= 15
+    assert sum(map(len, COMMANDS.values())) >= 15

@@ -36,6 +36,12 @@ def served() -> Iterator[tuple[Page, Visit]]:
         yield page, visit
 
 
+def place_of(page: Page) -> np.ndarray:
+    """Of the hand [m]."""
+    assert page.hand is not None
+    return np.array(page.hand.root.position)
+
+
 def eventually(holds: Callable[[], bool], visit: Visit, seconds: float = 60.0) -> bool:
     """Whether something comes true in time; the browser goes on meanwhile."""
     end = time.monotonic() + seconds
@@ -60,17 +66,17 @@ def test_page_shows_the_mug_and_the_hand(served: tuple[Page, Visit]) -> None:
     cool = lambda p: (p[..., 2] - p[..., 0] > 25).mean()  # noqa: E731  the hand at the surest grasp
     assert eventually(lambda: warm(rendered(visit)) > 0.01 and cool(rendered(visit)) > 0.01, visit)
     assert page.hand is not None
-    np.testing.assert_allclose(page.hand.root.position, page.shown.grasps.T_world_gripper[0, :3, 3], atol=1e-6)
+    np.testing.assert_allclose(place_of(page), page.shown.grasps.T_world_gripper[0, :3, 3], atol=1e-6)
 
 
 def test_slider_moves_the_hand(served: tuple[Page, Visit]) -> None:
     page, visit = served
     assert page.hand is not None
-    before, place = rendered(visit), np.array(page.hand.root.position)
+    before, place = rendered(visit), place_of(page)
     visit.page.get_by_role("slider").first.press("ArrowRight")
     assert eventually(lambda: page.index == 1, visit)
-    assert eventually(lambda: not np.allclose(page.hand.root.position, place), visit)
-    np.testing.assert_allclose(page.hand.root.position, page.shown.grasps.T_world_gripper[1, :3, 3], atol=1e-6)
+    assert eventually(lambda: not np.allclose(place_of(page), place), visit)
+    np.testing.assert_allclose(place_of(page), page.shown.grasps.T_world_gripper[1, :3, 3], atol=1e-6)
     assert changes(visit, before)
     visit.page.get_by_text(f"{page.shown.grasps.score[1]:.3f}").wait_for()
 
@@ -78,25 +84,27 @@ def test_slider_moves_the_hand(served: tuple[Page, Visit]) -> None:
 def test_play_goes_from_the_pregrasp_to_the_lift(served: tuple[Page, Visit]) -> None:
     page, visit = served
     places = []
-    assert page.stage is not None
-    page.panel.moment.on_update(lambda _: places.append(np.array(page.hand.root.position)))
+    stage = page.stage
+    assert stage is not None
+    page.panel.moment.on_update(lambda _: places.append(place_of(page)))
     visit.page.get_by_role("button", name="Play the grasp").click()
     assert eventually(lambda: page.panel.moment.value == 1.0, visit)
-    assert eventually(lambda: page.stage.object.position[2] > 0.11, visit)
+    assert eventually(lambda: stage.object.position[2] > 0.11, visit)
     np.testing.assert_allclose(places[0], page.shown.grasps.T_world_pregrasp[page.index, :3, 3], atol=2e-2)
     assert len(places) > 10
 
 
 def test_particles_and_rejected_candidates_are_drawn(served: tuple[Page, Visit]) -> None:
     page, visit = served
-    assert page.particles is not None
+    particles = page.particles
+    assert particles is not None
     visit.page.get_by_role("tab", name="Search").click()
     visit.page.get_by_label("Particles", exact=True).check()
-    assert eventually(lambda: page.particles.visible, visit)
-    before, lines = rendered(visit), np.array(page.particles.points)
+    assert eventually(lambda: particles.visible, visit)
+    before, lines = rendered(visit), np.array(particles.points)
     visit.page.get_by_role("slider").first.press("End")
     assert eventually(lambda: page.panel.iteration.value == len(page.search) - 1, visit)
-    assert eventually(lambda: not np.allclose(page.particles.points, lines), visit)
+    assert eventually(lambda: not np.allclose(particles.points, lines), visit)
     assert changes(visit, before)
     visit.page.get_by_label("Particles", exact=True).uncheck()
     visit.page.get_by_label("Rejected", exact=True).check()
@@ -115,7 +123,7 @@ def test_replanning_changes_the_grasps(served: tuple[Page, Visit]) -> None:
     visit.page.get_by_text("Planned in").wait_for(timeout=60_000)
     assert page.shown.scene is not before.scene
     assert not np.allclose(page.shown.grasps.T_world_gripper[0], before.grasps.T_world_gripper[0])
-    np.testing.assert_allclose(page.hand.root.position, page.shown.grasps.T_world_gripper[0, :3, 3], atol=1e-6)
+    np.testing.assert_allclose(place_of(page), page.shown.grasps.T_world_gripper[0, :3, 3], atol=1e-6)
 
 
 def test_what_no_hand_can_grasp_is_explained_on_the_page(served: tuple[Page, Visit]) -> None:

@@ -53,7 +53,7 @@ def add_panel(server: viser.ViserServer, catalogue: Catalogue, hand: str, scene:
         grasp = gui.add_slider("Grasp", 1, 2, 1, 1, hint="1 is the surest")
         details = gui.add_html("")
         moment = gui.add_slider("Moment", 0.0, 1.0, 0.01, CLOSED, hint="pregrasp, approach, closing, lift")
-        play = gui.add_button("Play the grasp", icon="player-play")
+        play = gui.add_button("Play the grasp", icon=viser.Icon.PLAYER_PLAY)
         also = gui.add_slider("Hands", 0, 1, 1, 0, hint="so many of the best grasps at once")
         contacts = gui.add_checkbox("Contacts", True)
         friction = gui.add_slider(
@@ -64,7 +64,7 @@ def add_panel(server: viser.ViserServer, catalogue: Catalogue, hand: str, scene:
     with tabs.add_tab("Search"):
         particles = gui.add_checkbox("Particles", False, hint="hands at every iteration of the matching")
         iteration = gui.add_slider("Iteration", 0, 1, 1, 0)
-        play_search = gui.add_button("Play the search", icon="player-play")
+        play_search = gui.add_button("Play the search", icon=viser.Icon.PLAYER_PLAY)
         rejected = gui.add_checkbox("Rejected", False, hint="candidates that were dropped, coloured by the reason")
         reason = gui.add_dropdown("Reason", [ALL_REASONS])
         legend = gui.add_html("")

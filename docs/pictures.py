@@ -103,7 +103,7 @@ def shoot(tab: Any, name: str) -> None:
     """A screenshot once the scene is drawn."""
     tab.wait_for_timeout(4000)
     path = IMAGES / f"{name}.png"
-    tab.screenshot(path=str(path))
+    tab.screenshot(path=str(path), timeout=120_000)
     print(path)
 
 

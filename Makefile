@@ -4,7 +4,7 @@ INSTALLED := $(VENV)/.installed
 SHELL := /bin/bash
 EXTRAS ?= dev
 
-.PHONY: demo test check bench venv
+.PHONY: demo test check bench docs venv
 .DEFAULT_GOAL := demo
 
 demo: $(INSTALLED)
@@ -20,6 +20,10 @@ check: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(VENV)/bin/python bench/run.py
+
+docs: $(INSTALLED)
+	$(VENV)/bin/mkdocs build --strict --quiet --site-dir build/site
+	@echo "Open build/site/index.html"
 
 venv: $(INSTALLED)
 

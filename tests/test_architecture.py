@@ -26,7 +26,7 @@ FLOORS = [
 FLOOR_OF = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "common", "misc", "manager", "managers"}
-HEAVY = ["warp", "mujoco", "trimesh", "matplotlib", "scipy", "rich", "tyro", "yaml"]
+HEAVY = ["warp", "mujoco", "trimesh", "matplotlib", "scipy", "rich", "tyro", "yaml", "viser"]
 
 
 def dotted_name(path: Path) -> str:

@@ -10,7 +10,18 @@ from typing import Literal
 
 import tyro
 
-from graspmatch.apps.options import Bench, Command, Convert, Demo, Grippers, ListGrippers, Parsed, Simulate
+from graspmatch.apps.options import (
+    Bench,
+    Command,
+    Convert,
+    Demo,
+    Grippers,
+    ListGrippers,
+    Parsed,
+    Report,
+    Simulate,
+    View,
+)
 from graspmatch.errors import GraspmatchError
 
 DESCRIPTION = """Plan 6-DoF grasps for any hand from a mesh or a point cloud.
@@ -69,6 +80,14 @@ def run(command: Parsed) -> int:
         from graspmatch.apps.convert import convert
 
         return convert(command, say)
+    if isinstance(command, View):
+        from graspmatch.apps.viewer.command import view
+
+        return view(command, parse_table(command.table), say)
+    if isinstance(command, Report):
+        from graspmatch.apps.report_page import report
+
+        return report(command, parse_table(command.table), say)
     return commands.plan_command(command, parse_table(command.table), say)
 
 

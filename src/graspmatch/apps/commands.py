@@ -74,14 +74,20 @@ def plan_command(command: Plan, table: float | Literal["auto"] | None, say: Spee
     outputs.check()
     config = fast(command.config) if command.fast else command.config
     if command.all:
+        if command.view:
+            raise GraspmatchError("--view shows the grasps of one object; choose it with --object N in place of --all.")
         from graspmatch.apps.picking import plan_every
 
         return plan_every(command, table, config, outputs, say)
+    if command.view:
+        from graspmatch.apps.viewer.command import check_library
+
+        check_library()
     with say.progress("Reading the scene"):
         scene = read_scene(command.input, command.capture, table=table, unit=command.unit, obstacles=command.obstacles)
     hand = hand_of(command, config, say)
     start, arm = start_of(command.seeds, hand.gripper, config), arm_of(command.robot, hand.gripper)
-    return plan_and_report(scene, hand, start, say, outputs, arm=arm)
+    return plan_and_report(scene, hand, start, say, outputs, arm=arm, view=command.view)
 
 
 def hand_of(command: Plan, config: PlannerConfig, say: Speech) -> Hand:
@@ -157,15 +163,31 @@ def load_hand(
 
 
 def plan_and_report(
-    scene: Scene, hand: Hand, start: Start, say: Speech, outputs: Outputs, *, arm: Arm | None = None
+    scene: Scene,
+    hand: Hand,
+    start: Start,
+    say: Speech,
+    outputs: Outputs,
+    *,
+    arm: Arm | None = None,
+    view: bool = False,
 ) -> int:
     """Plan, write the files where there are grasps, show what came out; the result is the exit status."""
     from graspmatch.planner.plan import plan
+    from graspmatch.planner.recording import Recording
     from graspmatch.planner.waypoints import waypoints
 
+    recording = Recording() if view else None
     begin = time.perf_counter()
     with say.progress("Planning (the first time, the kernels are compiled)"):
-        grasps = plan(scene, hand.gripper, start.config, starts_world_gripper=start.T_world_gripper, reach=arm)
+        grasps = plan(
+            scene,
+            hand.gripper,
+            start.config,
+            starts_world_gripper=start.T_world_gripper,
+            reach=arm,
+            recording=recording,
+        )
     planned = f"Planned in {time.perf_counter() - begin:.2f} s on {grasps.provenance.device}"
     for note in (*scene.notes, *start.notes):
         say.show(f"Note: {note}")
@@ -176,9 +198,17 @@ def plan_and_report(
     else:
         say.show(grasps.explain())
         say.show(f"{planned}; no file was written." if outputs.all else f"{planned}.")
+    record = {}
     if say.as_json:
         ways = waypoints(grasps, scene, hand.gripper, start.config, arm=arm)
-        print(json.dumps(report.record_of_grasps(grasps, hand.gripper, ways, arm), allow_nan=False))
+        record = report.record_of_grasps(grasps, hand.gripper, ways, arm)
+    if recording is not None:
+        from graspmatch.apps.viewer.command import serve
+        from graspmatch.apps.viewer.shown import shown_of
+
+        serve(shown_of(hand, grasps, scene, recording, start.config.device), start.config, say, record)
+    elif say.as_json:
+        print(json.dumps(record, allow_nan=False))
     return 0 if len(grasps) else NOT_FOUND
 
 

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from graspmatch.apps.grasp_file import named_hand
 from graspmatch.apps.options import Convert
 from graspmatch.apps.speech import Speech
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import check_place
 from graspmatch.formats.registry import read_grasps, suffix_of, write_grasps, writer_of
-from graspmatch.gripper.card import read_card
 from graspmatch.gripper.load import load_gripper
-from graspmatch.gripper.zoo import card_path, known_grippers
 from graspmatch.types import GraspSet, Gripper
 
 
@@ -30,7 +29,7 @@ def convert(command: Convert, say: Speech) -> int:
     if gripper is not None:
         grasps, notes = _for_hand(grasps, gripper, command.input)
     elif suffix_of(command.output) != ".npz":
-        gripper = _load(_named_hand(grasps, command.input), command.description, say)
+        gripper = _load(named_hand(grasps, command.input), command.description, say)
     notes += _losses(grasps, command.output)
     with say.progress(f"Writing {command.output.name}"):
         write_grasps(grasps, command.output, gripper)
@@ -66,15 +65,6 @@ def _for_hand(grasps: GraspSet, gripper: Gripper, path: Path) -> tuple[GraspSet,
         f"'{gripper.base_link}' of {gripper.name}."
     )
     return replace(grasps, provenance=replace(grasps.provenance, gripper=gripper.name)), [note]
-
-
-def _named_hand(grasps: GraspSet, path: Path) -> str:
-    """The built-in hand that a file names."""
-    named = grasps.provenance.gripper
-    known = {read_card(card_path(name)).name: name for name in known_grippers()}
-    if named not in known:
-        raise GraspmatchError(f"{path} is for '{named or 'no hand'}', which is not built in: give --gripper.")
-    return known[named]
 
 
 def _losses(grasps: GraspSet, path: Path) -> list[str]:

@@ -96,6 +96,8 @@ class Plan:
     """Length of the straight way in [m]; none: 0.15. The first time, the hand's fields are computed for it."""
     fast: bool = False
     """In a fraction of the time: hands start once, and the best grasps are not refined."""
+    view: bool = False
+    """Then show the grasps, and how they were found, on a page in the browser."""
     json: bool = False
     """Print one JSON object on stdout and everything else on stderr."""
     quiet: bool = False
@@ -265,6 +267,61 @@ class Convert:
     """Print the traceback of an error."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """Show grasps on a page in the browser: how the hand moves and what it touches; and plan others there."""
+
+    grasps: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="GRASPS")]
+    """File of grasps: .npz, Isaac .yaml, GraspNet .npy, or another format (docs/formats.md)."""
+    object: Path | None = None
+    """Mesh or cloud of the object, in the frame of the grasps."""
+    gripper: str | None = None
+    """Name of a known hand, or path of a card; none: the hand that the file names."""
+    description: Path | None = None
+    """URDF or MJCF file to use instead of the one that the card names."""
+    table: Annotated[str, tyro.conf.arg(metavar="auto|none|z=HEIGHT")] = "auto"
+    """Plane that the object stands on: under its lowest point, none, or at a height in the unit of the object."""
+    unit: Literal["auto", "m", "mm", "cm"] = "auto"
+    """Unit of length of the object."""
+    port: int = 8080
+    """Where the page is served, on this machine only; if it is taken, the next that is free."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+    config: Config = field(default_factory=PlannerConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Write one HTML page about the grasps of a file: pictures, table, timing, what became of the candidates."""
+
+    grasps: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="GRASPS")]
+    """File of grasps: .npz, Isaac .yaml, GraspNet .npy, or another format (docs/formats.md)."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Page to write (.html); it holds everything and opens without a network."""
+    object: Path | None = None
+    """Mesh or cloud of the object, in the frame of the grasps; without it there is no picture."""
+    verdicts: Path | None = None
+    """What `graspmatch simulate --json` printed about these grasps."""
+    gripper: str | None = None
+    """Name of a known hand, or path of a card; none: the hand that the file names."""
+    description: Path | None = None
+    """URDF or MJCF file to use instead of the one that the card names."""
+    table: Annotated[str, tyro.conf.arg(metavar="auto|none|z=HEIGHT")] = "auto"
+    """Plane that the object stands on: under its lowest point, none, or at a height in the unit of the object."""
+    unit: Literal["auto", "m", "mm", "cm"] = "auto"
+    """Unit of length of the object."""
+    json: bool = False
+    """Print one JSON object on stdout and everything else on stderr."""
+    quiet: bool = False
+    """Print nothing but errors."""
+    debug: bool = False
+    """Print the traceback of an error."""
+
+
 Command = (
     Annotated[Plan, tyro.conf.subcommand("plan")]
     | Annotated[Grippers, tyro.conf.subcommand("grippers")]
@@ -272,5 +329,7 @@ Command = (
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Convert, tyro.conf.subcommand("convert")]
+    | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
 )
-Parsed = Plan | Grippers | Demo | Simulate | Bench | Convert
+Parsed = Plan | Grippers | Demo | Simulate | Bench | Convert | View | Report

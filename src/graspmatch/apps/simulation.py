@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 from rich import box
-from rich.progress import track
 from rich.table import Table
 
 from graspmatch.apps.bench.objects import object_name
+from graspmatch.apps.grasp_file import named_hand
 from graspmatch.apps.options import Simulate
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
@@ -22,10 +23,9 @@ from graspmatch.formats.files import check_place
 from graspmatch.formats.registry import NO_HAND, read_grasps, suffix_of
 from graspmatch.geometry.mesh import transformed
 from graspmatch.geometry.se3 import translation
-from graspmatch.gripper.card import read_card
 from graspmatch.gripper.kinematics import HandModel, load_hand
 from graspmatch.gripper.load import load_gripper
-from graspmatch.gripper.zoo import card_path, known_grippers
+from graspmatch.gripper.zoo import card_path
 from graspmatch.scene.scene import Scene
 from graspmatch.simulate.convex import convex_parts
 from graspmatch.simulate.judge import PROTOCOLS, ProtocolConfig, judge, try_grasp, world_of
@@ -52,9 +52,8 @@ def simulate_file(command: Simulate, table: float | Literal["auto"] | None, say:
         grasps = grasps.best(command.first)
     rest = _at_rest(target, config, say)
     grasps = _moved(grasps, rest.T_world_object)
-    with say.progress("Simulating"):
-        watch = (lambda n: iter(track(n, "Simulating", transient=True))) if say.is_watched else iter
-        report = judge(grasps, rest.target, hand, rest.T_world_object, config, watch=watch)
+    with say.progress("Simulating", total=len(grasps)) as done:
+        report = judge(grasps, rest.target, hand, rest.T_world_object, config, watch=_counted(done))
     if len(report):
         say.show(table_of_verdicts(report))
     say.show(summary_of(report))
@@ -63,6 +62,17 @@ def simulate_file(command: Simulate, table: float | Literal["auto"] | None, say:
     if say.as_json:
         print(json.dumps(record_of_report(report), allow_nan=False))
     return 0 if report.held.any() else NONE_HELD
+
+
+def _counted(done: Callable[[], None]) -> Callable[[Iterable[int]], Iterator[int]]:
+    """Says after each grasp that it is done."""
+
+    def watch(numbers: Iterable[int]) -> Iterator[int]:
+        for number in numbers:
+            yield number
+            done()
+
+    return watch
 
 
 def table_of_verdicts(report: SimulationReport) -> Table:
@@ -120,11 +130,7 @@ def _hand_and_grasps(command: Simulate) -> tuple[HandModel, GraspSet]:
         gripper = load_gripper(command.gripper, description=command.description) if needs_hand else None
         return load_hand(card, command.description), read_grasps(command.grasps, gripper)
     grasps = read_grasps(command.grasps)
-    named = grasps.provenance.gripper
-    known = {read_card(card_path(name)).name: name for name in known_grippers()}
-    if named not in known:
-        raise GraspmatchError(f"{command.grasps} is for '{named or 'no hand'}', which is not built in: give --gripper.")
-    return load_hand(card_path(known[named]), command.description), grasps
+    return load_hand(card_path(named_hand(grasps, command.grasps)), command.description), grasps
 
 
 def _protocol(command: Simulate) -> ProtocolConfig:
@@ -188,11 +194,13 @@ def _draw(
     poses = (np.stack(shots.T_world_link), np.stack(shots.T_world_object))
     table = Plane(np.array([0.0, 0.0, 1.0]), 0.0) if isinstance(config, LiftConfig) else None
     if command.video is not None:
-        with say.progress(f"Drawing {command.video.name}"):
-            rate = shots.frames_per_second
-            write_video(command.video, hand.links, rest.target.mesh, *poses, captions, fps=rate, table=table)
+        with say.progress(f"Drawing {command.video.name}", total=len(captions)) as done:
+            rate, step = shots.frames_per_second, lambda *_: done()
+            mesh = rest.target.mesh
+            write_video(command.video, hand.links, mesh, *poses, captions, fps=rate, table=table, progress=step)
         say.show(f"Wrote {command.video}")
     if command.strip is not None:
         moments = key_moments(shots.phases)
-        film_strip(command.strip, hand.links, rest.target.mesh, *poses, captions, moments=moments, table=table)
+        with say.progress(f"Drawing {command.strip.name}"):
+            film_strip(command.strip, hand.links, rest.target.mesh, *poses, captions, moments=moments, table=table)
         say.show(f"Wrote {command.strip}")

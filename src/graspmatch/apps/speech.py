@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 
 @dataclass(frozen=True)
@@ -30,9 +31,14 @@ class Speech:
         return not self.quiet and Console(stderr=True).is_terminal
 
     @contextlib.contextmanager
-    def progress(self, message: str) -> Iterator[None]:
-        """Show one line while something runs, if someone is looking; what it prints goes to stderr."""
-        console = Console(stderr=True, quiet=self.quiet)
-        status = console.status(message) if self.is_watched else contextlib.nullcontext()
-        with status, contextlib.redirect_stdout(sys.stderr):
-            yield
+    def progress(self, message: str, total: int | None = None) -> Iterator[Callable[[], None]]:
+        """Show a bar while something runs, if someone is looking; what it prints goes to stderr.
+
+        Yields what to call after each of `total` steps; without a number of steps the bar only shows that work goes on.
+        """
+        known = () if total is None else (MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(), *known, TimeElapsedColumn())
+        bar = Progress(*columns, console=Console(stderr=True), disable=not self.is_watched, transient=True)
+        with bar, contextlib.redirect_stdout(sys.stderr):
+            task = bar.add_task(message, total=total)
+            yield lambda: bar.advance(task)

@@ -32,15 +32,17 @@ def keep_free(matched: Matched, space: Space, config: CollisionConfig, tally: Ta
     between the fingers, a few millimetres back make room for the palm, and a match that went too deep gets shallower.
     """
     posture, from_table, needed = choose_posture(matched, space, config)
-    is_above = tally.keep(from_table <= config.largest_retreat, "in collision with the table")
+    is_above = tally.keep(from_table <= config.largest_retreat, "in collision with the table", of=matched)
     matched, posture, needed = matched.select(is_above), posture[is_above], needed[is_above]
     most = np.full(len(matched), config.largest_retreat)
     opened = Candidates(posture, matched.T_world_gripper)
     retreat = point_retreat(opened, space, space.points, config.clearance, needed, most)
-    is_clear = tally.keep(retreat <= config.largest_retreat, "in collision with object or obstacles on the way in")
+    reachable = retreat <= config.largest_retreat
+    is_clear = tally.keep(reachable, "in collision with object or obstacles on the way in", of=opened)
     free = backed_off(matched.select(is_clear), posture[is_clear], retreat[is_clear], space)
     # Backing off also moves the start of the way in, which was not looked at before.
-    return free.select(tally.keep(free.clearance > 0.99 * config.clearance, "in collision where their way in begins"))
+    starts_clear = free.clearance > 0.99 * config.clearance
+    return free.select(tally.keep(starts_clear, "in collision where their way in begins", of=free))
 
 
 def choose_posture(

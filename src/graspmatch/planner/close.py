@@ -39,10 +39,11 @@ def meet_object(
     reaches = tally.keep(
         ~np.any(blocked <= stop_fractions(fraction, space.gripper), axis=-1),
         "fingers stopped by the table or an obstacle",
+        of=free,
     )
     touching = np.sum(fraction <= 1, axis=-1)
     fewest = min(config.fewest_fingers, len(space.gripper.fingers))  # a single jaw closes on a fixed one, the palm
-    keep = reaches & tally.keep(touching >= fewest, "fingers that close on nothing", among=reaches)
+    keep = reaches & tally.keep(touching >= fewest, "fingers that close on nothing", among=reaches, of=free)
     return keep, fraction
 
 

@@ -6,6 +6,7 @@ world axes, origin at the centre of mass.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_fields import NearestField
 from graspmatch.planner.candidates import Candidates, Matched
+from graspmatch.planner.recording import Recording
 from graspmatch.planner.thin import thinned
 from graspmatch.planner.upload import DeviceHand, upload_gripper
 from graspmatch.scene.scene import Scene
@@ -86,16 +88,33 @@ def prepare(scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.rand
     )
 
 
-def match(starts: Candidates, problem: Problem, config: MatchingConfig, rng: np.random.Generator) -> Matched:
+def match(
+    starts: Candidates,
+    problem: Problem,
+    config: MatchingConfig,
+    rng: np.random.Generator,
+    recording: Recording | None = None,
+) -> Matched:
     """Algorithm 1: every start, matched to the target."""
     particles = upload_particles(starts, problem)
+
+    def show() -> None:
+        if recording:
+            recording.watch(in_world(particles, starts, problem))
+
+    if recording:
+        recording.start()
+    show()
     stein_iterations = min(stein_phase(config), config.iterations)
     for k in range(1, stein_iterations + 1):
         gradients(problem, particles, *draw(k, problem, config, rng), with_prior=True)  # eqs. (16)-(18)
         stein_step(problem, particles, starts, annealing(k, config))  # eqs. (7), (8)
-    descend(problem, particles, range(stein_iterations + 1, config.iterations + 1), config, rng)  # eq. (3)
+        show()
+    rest = range(stein_iterations + 1, config.iterations + 1)
+    descend(problem, particles, rest, config, rng, show if recording else None)  # eq. (3)
     gradients(problem, particles, problem.target, whole_batch(problem.hand.samples), want_loss=True)
     launch(warp_steps.take_best, len(starts), [particles], [], problem.device)
+    show()
     return in_world(particles, starts, problem)
 
 
@@ -190,16 +209,21 @@ def descend(
     iterations: range,
     config: MatchingConfig,
     rng: np.random.Generator,
+    show: Callable[[], object] | None = None,
 ) -> None:
-    """The iterations in which every particle goes its own way: one launch, but where each has another target."""
+    """The iterations in which every particle goes its own way: one launch, but where each has another target or is
+    shown."""
     settle_from = int(np.ceil(full_batch_from(config)))
-    runs = [iterations] if config.batch_from == "gripper" else [range(k, k + 1) for k in iterations]
+    at_once = config.batch_from == "gripper" and show is None
+    runs = [iterations] if at_once else [range(k, k + 1) for k in iterations]
     for run in filter(len, runs):
         targets, batches = zip(*(draw(k, problem, config, rng) for k in run), strict=True)
         offset, size = (np.concatenate(part) for part in zip(*batches, strict=True))
         counts = [len(run), settle_from - run.start, int(config.method == "icp")]
         inputs = [*slope_inputs(problem, targets[0], (offset, size)), *counts, particles]
         launch(warp_steps.descend, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=8)
+        if show:
+            show()
 
 
 def slope_inputs(problem: Problem, target: NearestField, batch: Batch) -> list:

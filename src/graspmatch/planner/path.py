@@ -81,7 +81,7 @@ def way_of(scene: Scene, space: Space, config: PlannerConfig, reach: Reach | Non
 def keep_executable(candidates: C, way: Way, tally: Tally) -> C:
     """The candidates whose hand can go all of its way."""
     for reason, can_go in CHECKS.items():
-        candidates = candidates.select(tally.keep(can_go(candidates, way), reason))
+        candidates = candidates.select(tally.keep(can_go(candidates, way), reason, of=candidates))
     return candidates
 
 

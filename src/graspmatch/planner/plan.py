@@ -20,6 +20,7 @@ from graspmatch.planner.match import match, prepare, terms_of
 from graspmatch.planner.path import Reach, aimed, keep_executable
 from graspmatch.planner.pinch import graded_as, pinch_seeds
 from graspmatch.planner.rank import rank
+from graspmatch.planner.recording import Recording
 from graspmatch.planner.refine import Judge, joined, judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.stopwatch import Stopwatch
@@ -35,6 +36,7 @@ def plan(
     *,
     starts_world_gripper: Float[np.ndarray, "n 4 4"] | None = None,
     reach: Reach | None = None,
+    recording: Recording | None = None,
 ) -> GraspSet:
     """Ranked grasps, best first, in the frame of the scene's input; an empty set explains itself.
 
@@ -42,6 +44,7 @@ def plan(
     refined where they are, without the Stein phase.
     `reach` says which ways the robot can go: a function of the poses (n, 3, 4, 4) of the gripper frame where n ways
     begin, at their grasps and where they end, with n bools as its result; an `Arm` is one.
+    `recording` keeps every particle at every iteration and all that were dropped; it costs time and changes nothing.
     Raises `GraspmatchError` for a device that is not there, and for a configuration that makes no sense.
     """
     config = config or PlannerConfig()
@@ -52,7 +55,7 @@ def plan(
         )
     device = resolve_device(config.device)
     rng = np.random.default_rng(config.seed)
-    watch, tally = Stopwatch(), Tally(0)
+    watch, tally = Stopwatch(), Tally(0, recording)
     if starts_world_gripper is not None:  # what another planner chose is not scattered by the search for orientations
         config = replace(config, matching=replace(config.matching, stein_iterations=0))
     problem = prepare(scene, gripper, config.matching, rng, device)
@@ -70,7 +73,8 @@ def plan(
         if graded.confidence.max(initial=0.0) >= config.refining.enough:
             break
     assert graded is not None  # there is one batch at least
-    graded = graded.select(tally.keep(graded.sureness >= least_confidence(scene, config.ranking), UNSURE))
+    is_sure = graded.sureness >= least_confidence(scene, config.ranking)
+    graded = graded.select(tally.keep(is_sure, UNSURE, of=graded))
     order = rank(graded, graded.sureness, config.ranking, tally, "ranked lower than asked for")
     graded = stopped(graded.select(order), judge.target, gripper, config.grip, device)
     watch.lap("rank")
@@ -94,7 +98,7 @@ def candidates_from(
     config, space = judge.config, judge.space
     tally.add("candidates", len(starts))
     problem = replace(judge.problem, terms=terms_of(config.matching))
-    matched = match(starts, problem, config.matching, rng)  # Algorithm 1 of the paper
+    matched = match(starts, problem, config.matching, rng, tally.recording)  # Algorithm 1 of the paper
     watch.lap("match")
     free = keep_free(matched, space, config.collision, tally)  # hand and approach sweep
     free = replace(free, matched_preshape=graded_as(space.gripper)[free.matched_preshape])

@@ -17,16 +17,16 @@ def rank(
     reason."""
     order = np.lexsort((np.arange(len(candidates)), -worth))
     kept: list[int] = []
-    doubles = 0
+    double = np.zeros(len(candidates), dtype=bool)
     for index in order:
         if len(kept) == config.count:
             break
         if is_double(candidates, int(index), kept, config):
-            doubles += 1
+            double[index] = True
         else:
             kept.append(int(index))
-    tally.add("much like a better one", doubles)
-    tally.add(reason, len(candidates) - len(kept) - doubles)
+    tally.keep(~double, "much like a better one", of=candidates)
+    tally.keep(np.isin(np.arange(len(candidates)), kept), reason, among=~double, of=candidates)
     return np.array(kept, dtype=int)
 
 

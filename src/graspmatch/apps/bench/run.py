@@ -9,13 +9,11 @@ from inspect import isfunction
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
 from graspmatch.apps.bench.machine import machine
 from graspmatch.apps.bench.objects import ObjectSource
 from graspmatch.apps.bench.records import read_records, recorded
 from graspmatch.apps.bench.trials import Job, Planner, Trial, TrialConfig, run_trials
+from graspmatch.apps.speech import Speech
 
 
 @dataclass(frozen=True)
@@ -56,15 +54,16 @@ def run_benchmark(benchmark: Benchmark, workshop: Workshop) -> list[Trial]:
         Job(source, benchmark.gripper, benchmark.description, benchmark.planner, trial, benchmark.config)
         for source, trial in todo
     ]
-    with _progress(workshop) as bar:
-        preparing = bar.add_task(f"{benchmark.label}: preparing objects", total=len({source for source, _ in todo}))
-        for source in dict.fromkeys(source for source, _ in todo):
+    say = Speech(quiet=workshop.quiet)
+    new = list(dict.fromkeys(source for source, _ in todo))
+    with say.progress(f"{benchmark.label}: preparing objects", total=len(new)) as done:
+        for source in new:
             source.load()  # once, here: the processes find its convex parts in the cache
-            bar.advance(preparing)
-        task = bar.add_task(f"{benchmark.label}: trials", total=len(jobs))
+            done()
+    with say.progress(f"{benchmark.label}: trials", total=len(jobs)) as done:
         for trial in recorded(run_trials(jobs, processes=workshop.processes), path, header, done=len(known)):
             known[trial.object, trial.trial] = trial
-            bar.advance(task)
+            done()
     return [known[source.name, trial] for source, trial in wanted]
 
 
@@ -86,9 +85,3 @@ def _header(benchmark: Benchmark) -> dict[str, Any]:
         "versions": {name: about[name] for name in ("graspmatch", "commit", "mujoco", "warp")},
     }
     return json.loads(json.dumps(header))
-
-
-def _progress(workshop: Workshop) -> Progress:
-    console = Console(stderr=True, quiet=workshop.quiet)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, disable=workshop.quiet or not console.is_terminal, transient=True)

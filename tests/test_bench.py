@@ -128,9 +128,9 @@ def test_a_benchmark_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: p
 
 def test_records_of_nothing_are_nothing(tmp_path: Path) -> None:
     path = tmp_path / "trials.jsonl"
-    assert read_records(path, {}) == []
+    assert read_records(path, {}, Trial) == []
     assert list(recorded([], path, {"a": 1}, done=0)) == []
-    assert read_records(path, {"a": 1}) == []
+    assert read_records(path, {"a": 1}, Trial) == []
 
 
 @pytest.mark.parametrize("n", [1, 20, 50])

@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from graspmatch.config import PlannerConfig
+from graspmatch.config import PlannerConfig, ViewConfig
 
+Experiment = Literal["paper", "ablation", "quick", "view", "clutter"]
 Config = Annotated[PlannerConfig, tyro.conf.arg(name="")]
 
 
@@ -136,8 +137,9 @@ class Simulate:
 class Bench:
     """Plan for objects at random places and lift the best grasp of each plan in the simulator."""
 
-    what: Annotated[tyro.conf.Positional[Literal["paper", "ablation", "quick"]], tyro.conf.arg(metavar="WHAT")]
-    """paper: Table II or III; ablation: numbers of initialisations, and methods; quick: twelve objects made by code."""
+    what: Annotated[tyro.conf.Positional[Experiment], tyro.conf.arg(metavar="WHAT")]
+    """paper: Table II or III; ablation: numbers of initialisations, and methods; quick: twelve objects made by code;
+    view: planned from one depth image each; clutter: piles of objects, cleared from one depth image after another."""
     gripper: str = "franka_hand"
     """Name of a known hand, or path of a card."""
     description: Path | None = None
@@ -145,7 +147,7 @@ class Bench:
     objects: Path = Path("../shared/data/objects/paper")
     """Folder of NAME/mesh.stl, or of mesh files; not for quick."""
     trials: int | None = None
-    """Per object; none: 50 for paper, 5 for ablation, 3 for quick."""
+    """Per object, or piles; none: 50 for paper, 5 for ablation, 3 for quick, 10 for view, 20 for clutter."""
     friction: float = 0.6
     """Sliding friction of every contact."""
     mass: float | None = None
@@ -154,6 +156,9 @@ class Bench:
     """Standard deviation of the hand's position along each axis."""
     pose_error_deg: float = 0.0
     """Of its rotation about each axis."""
+    camera: Annotated[ViewConfig, tyro.conf.arg(name="camera")] = field(default_factory=ViewConfig)
+    pile: int = 5
+    """Objects in a pile."""
     processes: int | None = None
     """How many trials run at once; none: one for each core."""
     output: Path = Path("bench-results")

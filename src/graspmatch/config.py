@@ -331,6 +331,8 @@ class ViewConfig:
     """From what the camera looks at [m]."""
     knows_table: bool = True
     """Whether the planner is told the table's height, or has to find it."""
+    completes: bool = True
+    """Whether the far side of what is seen is guessed."""
 
 
 def check(config: PlannerConfig) -> None:

@@ -64,7 +64,7 @@ def glimpse_of(
 def scene_of(glimpse: Glimpse) -> Scene:
     """What the planner makes of the image: the object of which most is seen, and what is around it."""
     table = 0.0 if glimpse.view.knows_table else "auto"
-    return Scene.from_depth(glimpse.shot.depth, glimpse.shot.camera, table=table)
+    return Scene.from_depth(glimpse.shot.depth, glimpse.shot.camera, table=table, complete=glimpse.view.completes)
 
 
 def scenes_of(glimpse: Glimpse) -> list[Scene]:
@@ -72,7 +72,8 @@ def scenes_of(glimpse: Glimpse) -> list[Scene]:
     table = 0.0 if glimpse.view.knows_table else "auto"
     view, plane = depth_view(glimpse.shot.depth, glimpse.shot.camera, table)
     found = segment(view, table=plane)
-    return [Scene.from_view(view, object=int(number), table=table) for number in found.numbers]
+    completes = glimpse.view.completes
+    return [Scene.from_view(view, object=int(number), table=table, complete=completes) for number in found.numbers]
 
 
 def hidden_share(glimpse: Glimpse, meshes: Sequence[TriangleMesh], index: int) -> float:

@@ -1,0 +1,185 @@
+"""The far side of an object that was seen from one side, guessed without learning from what household objects are like.
+
+Three guesses, wherever the sensor did not see free space: what is seen from above goes down to the table; what stands
+upright and is round goes all the way round; anything else that stands upright is as deep behind its silhouette as
+before it. The guesses fill voxels in a frame whose x runs across the view, y away from the sensor and z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from graspmatch.scene.sight import SightLines
+from graspmatch.scene.slices import Slice, back_of, slice_of
+from graspmatch.types import Plane, PointCloud
+
+Array = np.ndarray
+
+FINEST, COARSEST, CELLS = 0.0025, 0.006, 30
+"""Edge of a voxel [m], and how many go along the side of a cube as large as what was seen."""
+AWAY = 0.005
+"""Guesses nearer than this to a point that was seen are none [m]."""
+SMOOTHING = 1.2
+"""Normals are the slope of the voxels smoothed so far [voxels]."""
+FEWEST = 8
+"""Points of the least that is a shape."""
+
+
+@dataclass(frozen=True)
+class Completion:
+    """What is guessed of an object, in the world."""
+
+    guessed: PointCloud
+    """Its unseen surface with outward normals; nothing of its underside."""
+    centre_of_mass: Float[Array, "3"]
+    """Of a solid of one density with the guessed back [m]."""
+
+
+@dataclass(frozen=True)
+class Voxels:
+    """A grid over the object and the space behind it."""
+
+    R_world_grid: Float[Array, "3 3"]
+    low: Float[Array, "3"]
+    """Corner [m], grid frame."""
+    spacing: float
+    shape: tuple[int, int, int]
+
+    def index(self, points_grid: Float[Array, "n 3"]) -> Int[Array, "n 3"]:
+        """The voxel of each point."""
+        return np.floor((points_grid - self.low) / self.spacing).astype(int)
+
+    def centres(self, index: Int[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Of voxels, in the world."""
+        return (self.low + (index + 0.5) * self.spacing) @ self.R_world_grid.T
+
+
+def far_side(
+    seen: PointCloud, table: Plane, lines: SightLines, others: Float[Array, "m 3"] | None = None
+) -> Completion | None:
+    """The far side of an object, guessed; None where too little is seen of it.
+
+    `others` are points of other things: what is nearer to them than to the object is not guessed to be of it.
+    """
+    if len(seen.points) < FEWEST:
+        return None
+    voxels = _voxels(seen.points, table, lines.origin)
+    points = seen.points @ voxels.R_world_grid
+    every = np.indices(voxels.shape).reshape(3, -1).T
+    free = (lines.beyond(voxels.centres(every)) > voxels.spacing).reshape(voxels.shape)
+    surface = np.zeros(voxels.shape, dtype=bool)
+    surface[tuple(voxels.index(points).T)] = True
+    assert seen.normals is not None  # every scene estimates them
+    solid = (_extruded(surface) | _backed(points, seen.normals @ voxels.R_world_grid, voxels)) & ~free | surface
+    solid = _in_one_piece(_nearest_to(seen.points, others, solid, voxels), free)
+    hollow = solid & ~(_below_openings(surface, free) & ~surface)
+    return Completion(
+        guessed=_unseen_surface(_in_one_piece(hollow, free), seen.points, voxels),
+        centre_of_mass=voxels.centres(np.argwhere(solid)).mean(axis=0),
+    )
+
+
+def _voxels(points: Float[Array, "n 3"], table: Plane, origin: Float[Array, "3"]) -> Voxels:
+    up = table.normal
+    away = points.mean(axis=0) - origin
+    away = away - (away @ up) * up
+    if np.linalg.norm(away) < 1e-3:  # seen straight from above: any direction will do
+        away = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    away /= np.linalg.norm(away)
+    R = np.stack([np.cross(away, up), away, up], axis=-1)
+    low, high = (points @ R).min(axis=0), (points @ R).max(axis=0)
+    spacing = float(np.clip(np.cbrt(np.prod(np.maximum(high - low, FINEST))) / CELLS, FINEST, COARSEST))
+    low, high = low - 3 * spacing, high + 3 * spacing
+    high[1] += high[0] - low[0]  # as deep as wide, at most
+    low[2] = table.offset
+    shape = np.ceil((np.maximum(high, low + spacing) - low) / spacing).astype(int)
+    return Voxels(R, low, spacing, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+def _extruded(surface: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:
+    """All below what was seen."""
+    from scipy.ndimage import grey_closing
+
+    height = surface.shape[2]
+    top = np.where(surface.any(axis=2), height - 1 - np.argmax(surface[:, :, ::-1], axis=2), -1)
+    return np.arange(height) <= grey_closing(top, 3)[:, :, None]
+
+
+def _backed(points: Float[Array, "n 3"], normals: Float[Array, "n 3"], voxels: Voxels) -> Bool[Array, "x y z"]:
+    """Between the front that was seen at each height and the back that it suggests."""
+    filled = np.zeros(voxels.shape, dtype=bool)
+    depth = voxels.low[1] + (np.arange(voxels.shape[1]) + 0.5) * voxels.spacing
+    slices: list[Slice] = []
+    for level in range(voxels.shape[2]):
+        height = voxels.low[2] + (level + 0.5) * voxels.spacing
+        slices += slice_of(points, normals, level, height, voxels.low[0], voxels.spacing)
+    for each in slices:
+        front, back = each.front[:, None] - voxels.spacing / 2, back_of(each, slices)[:, None]
+        filled[each.first : each.first + len(front), :, each.level] |= (depth >= front) & (depth <= back)
+    return filled
+
+
+def _nearest_to(
+    points: Float[Array, "n 3"], others: Float[Array, "m 3"] | None, solid: Bool[Array, "x y z"], voxels: Voxels
+) -> Bool[Array, "x y z"]:
+    """The voxels that are nearer to these points than to those of other things."""
+    from scipy.spatial import KDTree
+
+    if others is None or len(others) == 0:
+        return solid
+    index = np.argwhere(solid)
+    centres = voxels.centres(index)
+    own, _ = KDTree(points).query(centres)
+    foreign, _ = KDTree(others).query(centres)
+    result = np.zeros_like(solid)
+    result[tuple(index[own <= foreign].T)] = True
+    return result
+
+
+def _in_one_piece(solid: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:
+    """The largest piece, gaps of a voxel closed."""
+    from scipy.ndimage import binary_closing, label
+
+    solid = solid | (binary_closing(np.pad(solid, 2))[2:-2, 2:-2, 2:-2] & ~free)
+    piece, count = label(solid)
+    if count < 2:
+        return solid
+    size = np.bincount(piece.ravel())
+    return piece == 1 + np.argmax(size[1:])
+
+
+def _below_openings(surface: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:
+    """Free space between a front and a back that were seen at the same height, as in a cup, and all below it down to
+    the next thing that was seen: a lid, the bottom."""
+    from scipy.ndimage import binary_dilation
+
+    before = np.logical_or.accumulate(surface, axis=1)
+    behind = np.logical_or.accumulate(surface[:, ::-1], axis=1)[:, ::-1]
+    beside = binary_dilation(surface, structure=np.ones((1, 3, 3)))
+    opening = (before & behind & free & ~beside)[:, :, ::-1]  # from above
+    floor = binary_dilation(surface, structure=np.ones((3, 3, 1)))[:, :, ::-1]
+    step = np.arange(surface.shape[2])
+    last_opening, last_floor = (np.maximum.accumulate(np.where(is_, step, -1), axis=2) for is_ in (opening, floor))
+    return (last_opening > last_floor)[:, :, ::-1]
+
+
+def _unseen_surface(solid: Bool[Array, "x y z"], seen: Float[Array, "n 3"], voxels: Voxels) -> PointCloud:
+    """The outermost voxels that are not beside what was seen, and the slope of the solid there."""
+    from scipy.ndimage import binary_erosion, gaussian_filter
+    from scipy.spatial import KDTree
+
+    margin = 3
+    padded = np.pad(solid, margin)
+    padded[:, :, :margin] = padded[:, :, margin : margin + 1]  # what stands on the table has no underside
+    outermost = padded & ~binary_erosion(padded)
+    outermost[:, :, :margin] = False
+    index = np.argwhere(outermost)
+    slope = np.stack(np.gradient(gaussian_filter(padded.astype(np.float32), SMOOTHING)), axis=-1)[tuple(index.T)]
+    length = np.linalg.norm(slope, axis=-1)
+    points = voxels.centres(index - margin)
+    distance, _ = KDTree(seen).query(points)
+    keep = (length > 1e-3) & (distance > AWAY)
+    return PointCloud(points[keep], -(slope[keep] / length[keep, None]) @ voxels.R_world_grid.T)

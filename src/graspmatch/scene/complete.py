@@ -143,12 +143,13 @@ def _in_one_piece(solid: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -> Bo
     """The largest piece, gaps of a voxel closed."""
     from scipy.ndimage import binary_closing, label
 
-    solid = solid | (binary_closing(np.pad(solid, 2))[2:-2, 2:-2, 2:-2] & ~free)
-    piece, count = label(solid)
-    if count < 2:
+    closed = np.asarray(binary_closing(np.pad(solid, 2)))[2:-2, 2:-2, 2:-2]
+    solid = solid | (closed & ~free)
+    piece = np.zeros(solid.shape, dtype=np.int32)
+    label(solid, output=piece)
+    if piece.max() < 2:
         return solid
-    size = np.bincount(piece.ravel())
-    return piece == 1 + np.argmax(size[1:])
+    return piece == 1 + np.argmax(np.bincount(piece.ravel())[1:])
 
 
 def _below_openings(surface: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:
@@ -158,9 +159,9 @@ def _below_openings(surface: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -
 
     before = np.logical_or.accumulate(surface, axis=1)
     behind = np.logical_or.accumulate(surface[:, ::-1], axis=1)[:, ::-1]
-    beside = binary_dilation(surface, structure=np.ones((1, 3, 3)))
+    beside = np.asarray(binary_dilation(surface, structure=np.ones((1, 3, 3))), dtype=bool)
     opening = (before & behind & free & ~beside)[:, :, ::-1]  # from above
-    floor = binary_dilation(surface, structure=np.ones((3, 3, 1)))[:, :, ::-1]
+    floor = np.asarray(binary_dilation(surface, structure=np.ones((3, 3, 1))))[:, :, ::-1]
     step = np.arange(surface.shape[2])
     last_opening, last_floor = (np.maximum.accumulate(np.where(is_, step, -1), axis=2) for is_ in (opening, floor))
     return (last_opening > last_floor)[:, :, ::-1]
@@ -174,10 +175,11 @@ def _unseen_surface(solid: Bool[Array, "x y z"], seen: Float[Array, "n 3"], voxe
     margin = 3
     padded = np.pad(solid, margin)
     padded[:, :, :margin] = padded[:, :, margin : margin + 1]  # what stands on the table has no underside
-    outermost = padded & ~binary_erosion(padded)
+    outermost = padded & ~np.asarray(binary_erosion(padded), dtype=bool)
     outermost[:, :, :margin] = False
     index = np.argwhere(outermost)
-    slope = np.stack(np.gradient(gaussian_filter(padded.astype(np.float32), SMOOTHING)), axis=-1)[tuple(index.T)]
+    smooth = np.asarray(gaussian_filter(padded.astype(np.float32), SMOOTHING))
+    slope = np.moveaxis(np.array(np.gradient(smooth)), 0, -1)[tuple(index.T)]
     length = np.linalg.norm(slope, axis=-1)
     points = voxels.centres(index - margin)
     distance, _ = KDTree(seen).query(points)

@@ -179,9 +179,9 @@ class Scene:
     ) -> Scene:
         """The scene of one object in a cloud of a table with things on it: a file, an array or a `View`.
 
-        `object`, `at`, `mask`, `table`, `up` and `complete` are as for `from_depth`; where the cloud has no rows, `at` is x, y [m]
-        in its frame, and there can be no mask. An organised array is (h, w, 3). `T_world_cloud` is the pose of a cloud
-        that is in its camera's frame.
+        `object`, `at`, `mask`, `table`, `up` and `complete` are as for `from_depth`; where the cloud has no rows, `at`
+        is x, y [m] in its frame, and there can be no mask. An organised array is (h, w, 3). `T_world_cloud` is the pose
+        of a cloud that is in its camera's frame.
         """
         if not isinstance(view, View):
             view = _cloud_view(view, unit, T_world_cloud, sensor_origin)

@@ -1,4 +1,4 @@
-"""What a sensor says of any place around a target: that it is free, or hidden behind something, or that nobody knows."""
+"""What a sensor says of any place around a target: that it is free, or hidden, or that nobody knows."""
 
 from __future__ import annotations
 

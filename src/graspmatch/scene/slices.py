@@ -1,4 +1,4 @@
-"""Level slices through what was seen of an object: the front at each place across the view, and the back it suggests."""
+"""Level slices through what was seen of an object: its front across the view, and the back that it suggests."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import pytest
 from depth_scenes import Box, Cylinder, Setting, camera_at, noisy, render
 from graspmatch.geometry.se3 import rotation_exp
 from graspmatch.scene.complete import far_side
-from graspmatch.scene.scene import Scene, completed
+from graspmatch.scene.scene import HAND_REACH, Scene, completed
 from graspmatch.scene.sight import sight_lines
 from graspmatch.types import PointCloud
 
@@ -19,6 +19,7 @@ Array = np.ndarray
 CAN = Cylinder(0.02, 0.0, 0.035, 0.12)
 CARTON = Box(0.0, 0.03, (0.07, 0.05, 0.14), yaw=0.5)
 LYING = Box(0.0, 0.0, (0.16, 0.06, 0.05), yaw=-0.3)
+IN_FRONT = Box(0.0, -0.05, (0.05, 0.05, 0.05))
 CUP = Cylinder(0.0, 0.0, 0.045, 0.1, is_hollow=True)
 
 
@@ -81,7 +82,7 @@ def test_nothing_is_guessed_where_the_camera_saw_free_space(thing: Box | Cylinde
     scene = scene_of(thing)
     assert scene.view is not None
     assert scene.is_guessed is not None
-    lines = sight_lines(scene.view, scene.target.points[~scene.is_guessed], 0.1)
+    lines = sight_lines(scene.view, scene.target.points[~scene.is_guessed], 2 * HAND_REACH)
     assert lines is not None
     ahead = lines.beyond(guessed(scene).points)
     assert np.all(~(ahead > 0.006))
@@ -133,3 +134,15 @@ def test_sight_lines_tell_free_from_hidden() -> None:
     assert np.mean(lines.beyond(points + 0.03 * ray) < -0.015) > 0.9
     behind_the_camera = scene.sensor_origin - 0.1 * ray[:5]
     assert np.isnan(lines.beyond(behind_the_camera)).all()
+
+
+def test_other_things_reach_down_to_the_table_where_nobody_saw() -> None:
+    carton = Box(0.0, 0.06, (0.1, 0.04, 0.1))
+    seen, both = (scene_of(IN_FRONT, carton, complete=complete, number=1) for complete in (False, True))
+    assert seen.centre_of_mass[1] < 0  # the one of which less is seen
+    more = both.obstacles.points[len(seen.obstacles.points) :]
+    np.testing.assert_array_equal(both.obstacles.points[: len(seen.obstacles.points)], seen.obstacles.points)
+    assert np.percentile(distance_to(carton, more), 80) < 0.008
+    behind = more[:, 1] > 0.07
+    assert np.mean(behind) > 0.3  # its back
+    assert more[behind][:, 2].min() < 0.01

@@ -67,6 +67,7 @@ def _from_depth(
         metres_per_unit=scale,
         correct=capture.correct_depth,
         up=_place(capture.up, "--up", "0,-1,0"),
+        complete=capture.complete,
     )
 
 
@@ -80,6 +81,7 @@ def _from_cloud(cloud: Path | View, capture: Capture, table: Table, unit: Unit) 
         unit=unit,
         T_world_cloud=_pose(capture),
         up=_place(capture.up, "--up", "0,-1,0"),
+        complete=capture.complete,
     )
 
 

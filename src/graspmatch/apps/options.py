@@ -28,8 +28,11 @@ class Capture:
     """Direction against gravity in the camera frame as x,y,z, where the camera's pose is not known."""
     depth_scale: float | None = None
     """Metres for one step of the depth; none: integers are millimetres, floats metres."""
-    correct_depth: Literal["auto", "tilt", "off"] = "auto"
-    """auto: scale and tilt the depth so that the table comes out at the given --table; tilt: only make it level."""
+    correct_depth: Literal["auto", "depth", "tilt", "off"] = "auto"
+    """auto: make the table come out at the given --table by turning the camera and scaling and tilting the depth;
+    depth: by the depth alone, the pose is exact; tilt: only make it level."""
+    complete: bool = True
+    """Guess the far side of the target, which the camera did not see."""
     object: int | None = None
     """Number of the target in the scene; 0 is the one of which most is seen."""
     at: str | None = None

@@ -1,13 +1,16 @@
 """The far side of an object that was seen from one side, guessed without learning from what household objects are like.
 
-Three guesses, wherever the sensor did not see free space: what is seen from above goes down to the table; what stands
-upright and is round goes all the way round; anything else that stands upright is as deep behind its silhouette as
-before it. The guesses fill voxels in a frame whose x runs across the view, y away from the sensor and z up.
+Three guesses, wherever the sensor did not see free space. Extrusion: what is seen goes down to the table. Half turn: at
+each height an object is the same when turned by half a turn about its middle, as boxes and bottles are. Circle: where
+its front is round, that middle is the circle's. They fill voxels in a frame whose x runs across the view, y away from
+the sensor and z up.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,6 +21,8 @@ from graspmatch.types import Plane, PointCloud
 
 Array = np.ndarray
 
+Guess = Literal["extrusion", "half turn", "circle"]
+GUESSES: tuple[Guess, ...] = ("extrusion", "half turn", "circle")
 FINEST, COARSEST, CELLS = 0.0025, 0.006, 30
 """Edge of a voxel [m], and how many go along the side of a cube as large as what was seen."""
 AWAY = 0.005
@@ -58,7 +63,12 @@ class Voxels:
 
 
 def far_side(
-    seen: PointCloud, table: Plane, lines: SightLines, others: Float[Array, "m 3"] | None = None
+    seen: PointCloud,
+    table: Plane,
+    lines: SightLines,
+    others: Float[Array, "m 3"] | None = None,
+    *,
+    guesses: Collection[Guess] = GUESSES,
 ) -> Completion | None:
     """The far side of an object, guessed; None where too little is seen of it.
 
@@ -68,18 +78,44 @@ def far_side(
         return None
     voxels = _voxels(seen.points, table, lines.origin)
     points = seen.points @ voxels.R_world_grid
-    every = np.indices(voxels.shape).reshape(3, -1).T
-    free = (lines.beyond(voxels.centres(every)) > voxels.spacing).reshape(voxels.shape)
-    surface = np.zeros(voxels.shape, dtype=bool)
-    surface[tuple(voxels.index(points).T)] = True
+    surface, free = _surface_and_free(seen.points, lines, voxels)
     assert seen.normals is not None  # every scene estimates them
-    solid = (_extruded(surface) | _backed(points, seen.normals @ voxels.R_world_grid, voxels)) & ~free | surface
+    solid = surface
+    if "extrusion" in guesses:
+        solid = solid | (_extruded(surface) & ~free)
+    if "half turn" in guesses:
+        normals = seen.normals @ voxels.R_world_grid
+        solid = solid | (_backed(points, normals, voxels, with_circles="circle" in guesses) & ~free)
     solid = _in_one_piece(_nearest_to(seen.points, others, solid, voxels), free)
     hollow = solid & ~(_below_openings(surface, free) & ~surface)
     return Completion(
         guessed=_unseen_surface(_in_one_piece(hollow, free), seen.points, voxels),
         centre_of_mass=voxels.centres(np.argwhere(solid)).mean(axis=0),
     )
+
+
+def hidden_part(
+    points: Float[Array, "n 3"], table: Plane, lines: SightLines, target: Float[Array, "m 3"]
+) -> Float[Array, "k 3"]:
+    """What other things may have where nobody saw: below their points, down to the table, but for what is nearer to
+    the target. The surface of it, without what is beside the points given."""
+    if len(points) < FEWEST:
+        return np.zeros((0, 3))
+    voxels = _voxels(points, table, lines.origin)
+    surface, free = _surface_and_free(points, lines, voxels)
+    solid = _nearest_to(points, target, surface | (_extruded(surface) & ~free), voxels)
+    return _unseen_surface(solid, points, voxels).points
+
+
+def _surface_and_free(
+    points: Float[Array, "n 3"], lines: SightLines, voxels: Voxels
+) -> tuple[Bool[Array, "x y z"], Bool[Array, "x y z"]]:
+    """The voxels that points lie in, and those that were seen to be free."""
+    every = np.indices(voxels.shape).reshape(3, -1).T
+    free = (lines.beyond(voxels.centres(every)) > voxels.spacing).reshape(voxels.shape)
+    surface = np.zeros(voxels.shape, dtype=bool)
+    surface[tuple(voxels.index(points @ voxels.R_world_grid).T)] = True
+    return surface, free
 
 
 def _voxels(points: Float[Array, "n 3"], table: Plane, origin: Float[Array, "3"]) -> Voxels:
@@ -108,7 +144,9 @@ def _extruded(surface: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:
     return np.arange(height) <= grey_closing(top, 3)[:, :, None]
 
 
-def _backed(points: Float[Array, "n 3"], normals: Float[Array, "n 3"], voxels: Voxels) -> Bool[Array, "x y z"]:
+def _backed(
+    points: Float[Array, "n 3"], normals: Float[Array, "n 3"], voxels: Voxels, *, with_circles: bool
+) -> Bool[Array, "x y z"]:
     """Between the front that was seen at each height and the back that it suggests."""
     filled = np.zeros(voxels.shape, dtype=bool)
     depth = voxels.low[1] + (np.arange(voxels.shape[1]) + 0.5) * voxels.spacing
@@ -116,6 +154,8 @@ def _backed(points: Float[Array, "n 3"], normals: Float[Array, "n 3"], voxels: V
     for level in range(voxels.shape[2]):
         height = voxels.low[2] + (level + 0.5) * voxels.spacing
         slices += slice_of(points, normals, level, height, voxels.low[0], voxels.spacing)
+    if not with_circles:
+        slices = [replace(each, circle=None) for each in slices]
     for each in slices:
         front, back = each.front[:, None] - voxels.spacing / 2, back_of(each, slices)[:, None]
         filled[each.first : each.first + len(front), :, each.level] |= (depth >= front) & (depth <= back)

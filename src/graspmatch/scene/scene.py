@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from graspmatch.geometry.mesh import TriangleMesh
 from graspmatch.scene import surface
 from graspmatch.scene.camera import Camera
-from graspmatch.scene.complete import far_side
+from graspmatch.scene.complete import far_side, hidden_part
 from graspmatch.scene.depth import DepthImage
 from graspmatch.scene.depth_view import Correct, depth_view, plane_in_view
 from graspmatch.scene.read import CloudFile, read_cloud, read_mesh, read_object, triangles
@@ -34,8 +34,8 @@ Table = Literal["auto"] | float | int | Plane | None
 METRES = {"auto": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001}
 OBSTACLE_SPACING = 0.004
 """Distance between the points of what else a sensor saw [m], at least."""
-HIDDEN_REACH = 0.1
-"""So far beside what was seen of the target its hidden parts may be [m]."""
+HAND_REACH = 0.12
+"""So far beside the target a hand may be in the way of other things [m]."""
 SMALLEST, LARGEST = 0.003, 3.0
 """Sizes of an object [m] between which nobody asks whether its unit is right."""
 
@@ -47,7 +47,7 @@ class Scene:
     target: PointCloud
     """R: the surface of the object, a point every 2.5 mm, closer on small objects, with outward normals."""
     obstacles: PointCloud
-    """Other things that must not be hit; of length zero if there are none."""
+    """Other things that must not be hit, with what they may have where nobody saw; of length zero if there are none."""
     table: Plane | None
     """Support plane, its normal up."""
     centre_of_mass: Float[Array, "3"]
@@ -153,8 +153,9 @@ class Scene:
             which most is seen. A mask may mark several objects by their values, which are their numbers.
         table: `auto` finds it; its height in the world needs the camera's pose.
         metres_per_unit: what one step of the depth is [m]; without it, integers are millimetres and floats metres.
-        correct: `auto` scales and tilts the depth where the table's height is given, so that the table comes out there;
-            `tilt` only makes the table level, which needs the camera's pose or `up`; `off` believes the depth.
+        correct: `auto` makes the table come out where it is, if its height is given: half of what it leans is put on
+            the camera's pose, the rest on the depth, which is scaled and tilted; `depth` believes the pose; `tilt` only
+            makes the table level, which needs the camera's pose or `up`; `off` believes pose and depth.
         up: against gravity, in the camera frame, where that is known and the camera's pose is not.
         complete: guess the far side of the object, where there is a table and the camera's place is known.
         """
@@ -251,21 +252,26 @@ def _view_scene(cls: type[Scene], view: View, target: Target, complete: bool) ->
 
 
 def completed(scene: Scene) -> Scene:
-    """The scene with the far side of its target guessed; unchanged where there is no table, no view, or no sensor's
-    place."""
-    lines = None if scene.view is None else sight_lines(scene.view, scene.target.points, HIDDEN_REACH)
-    if lines is None or scene.table is None or scene.is_guessed is not None:
+    """The scene with the far side of its target guessed, and what other things near it may have where nobody saw;
+    unchanged where there is no table, no view, or no sensor's place."""
+    if scene.view is None or scene.table is None or scene.is_guessed is not None:
         return scene
-    found = far_side(scene.target, scene.table, lines, scene.obstacles.points)
-    if found is None:
+    seen, others = scene.target, scene.obstacles.points
+    low, high = seen.points.min(axis=0) - HAND_REACH, seen.points.max(axis=0) + HAND_REACH
+    others = others[np.all((others > low) & (others < high), axis=1)]
+    lines = sight_lines(scene.view, seen.points, 2 * HAND_REACH)
+    found = None if lines is None else far_side(seen, scene.table, lines, others)
+    if lines is None or found is None:
         return scene
-    both = [(scene.target.points, scene.target.normals), (found.guessed.points, found.guessed.normals)]
+    hidden = hidden_part(others, scene.table, lines, seen.points)
+    both = [(seen.points, seen.normals), (found.guessed.points, found.guessed.normals)]
     points, normals = (np.concatenate(parts) for parts in zip(*both, strict=True))
     return replace(
         scene,
         target=PointCloud(points, normals),
+        obstacles=PointCloud(np.concatenate([scene.obstacles.points, hidden])),
         centre_of_mass=found.centre_of_mass,
-        is_guessed=np.arange(len(points)) >= len(scene.target.points),
+        is_guessed=np.arange(len(points)) >= len(seen.points),
     )
 
 

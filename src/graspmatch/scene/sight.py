@@ -14,7 +14,7 @@ Array = np.ndarray
 
 COARSENESS = 1.5
 """Pixels of the picture that is made here, in pixels of the sensor: few stay without a point."""
-MOST_PIXELS = 700
+MOST_PIXELS = 1000
 """Along a side of that picture."""
 
 

@@ -1,9 +1,10 @@
 """The far side of an object that was seen from one side, guessed without learning from what household objects are like.
 
-Three guesses, wherever the sensor did not see free space. Extrusion: what is seen goes down to the table. Half turn: at
+Four guesses, wherever the sensor did not see free space. Extrusion: what is seen goes down to the table. Half turn: at
 each height an object is the same when turned by half a turn about its middle, as boxes and bottles are. Circle: where
-its front is round, that middle is the circle's. They fill voxels in a frame whose x runs across the view, y away from
-the sensor and z up.
+its front is round, that middle is the circle's. Ridge: what is seen to fall behind its top as it rises before it does so
+down to the table, as a bottle that lies. They fill voxels in a frame whose x runs across the view, y away from the
+sensor and z up.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from graspmatch.scene.sight import SightLines
-from graspmatch.scene.slices import Slice, back_of, slice_of
+from graspmatch.scene.slices import LEVELS, Slice, back_of, ridge_of, slice_of
 from graspmatch.types import Plane, PointCloud
 
 Array = np.ndarray
 
-Guess = Literal["extrusion", "half turn", "circle"]
-GUESSES: tuple[Guess, ...] = ("extrusion", "half turn", "circle")
+Guess = Literal["extrusion", "half turn", "circle", "ridge"]
+GUESSES: tuple[Guess, ...] = ("extrusion", "half turn", "circle", "ridge")
 FINEST, COARSEST, CELLS = 0.0025, 0.006, 30
 """Edge of a voxel [m], and how many go along the side of a cube as large as what was seen."""
 AWAY = 0.005
@@ -53,6 +54,12 @@ class Voxels:
     spacing: float
     shape: tuple[int, int, int]
 
+    @property
+    def axes(self) -> tuple[Float[Array, "x"], Float[Array, "y"], Float[Array, "z"]]:
+        """Middles of the voxels along each axis [m], grid frame."""
+        x, y, z = (low + (np.arange(n) + 0.5) * self.spacing for low, n in zip(self.low, self.shape, strict=True))
+        return x, y, z
+
     def index(self, points_grid: Float[Array, "n 3"]) -> Int[Array, "n 3"]:
         """The voxel of each point."""
         return np.floor((points_grid - self.low) / self.spacing).astype(int)
@@ -80,12 +87,14 @@ def far_side(
     points = seen.points @ voxels.R_world_grid
     surface, free = _surface_and_free(seen.points, lines, voxels)
     assert seen.normals is not None  # every scene estimates them
+    normals = seen.normals @ voxels.R_world_grid
     solid = surface
     if "extrusion" in guesses:
         solid = solid | (_extruded(surface) & ~free)
     if "half turn" in guesses:
-        normals = seen.normals @ voxels.R_world_grid
         solid = solid | (_backed(points, normals, voxels, with_circles="circle" in guesses) & ~free)
+    if "ridge" in guesses:
+        solid = solid | (_mirrored(points, normals, voxels) & ~free)
     solid = _in_one_piece(_nearest_to(seen.points, others, solid, voxels), free)
     hollow = solid & ~(_below_openings(surface, free) & ~surface)
     return Completion(
@@ -149,16 +158,29 @@ def _backed(
 ) -> Bool[Array, "x y z"]:
     """Between the front that was seen at each height and the back that it suggests."""
     filled = np.zeros(voxels.shape, dtype=bool)
-    depth = voxels.low[1] + (np.arange(voxels.shape[1]) + 0.5) * voxels.spacing
+    _, depth, heights = voxels.axes
     slices: list[Slice] = []
-    for level in range(voxels.shape[2]):
-        height = voxels.low[2] + (level + 0.5) * voxels.spacing
+    for level, height in enumerate(heights):
         slices += slice_of(points, normals, level, height, voxels.low[0], voxels.spacing)
     if not with_circles:
         slices = [replace(each, circle=None) for each in slices]
     for each in slices:
         front, back = each.front[:, None] - voxels.spacing / 2, back_of(each, slices)[:, None]
         filled[each.first : each.first + len(front), :, each.level] |= (depth >= front) & (depth <= back)
+    return filled
+
+
+def _mirrored(points: Float[Array, "n 3"], normals: Float[Array, "n 3"], voxels: Voxels) -> Bool[Array, "x y z"]:
+    """Between the front of each upright slice that has a ridge, and that front mirrored at it."""
+    filled = np.zeros(voxels.shape, dtype=bool)
+    across, depth, height = voxels.axes
+    found = [ridge_of(points, normals, column, place, voxels.spacing) for column, place in enumerate(across)]
+    ridges = [ridge for ridge in found if ridge is not None]
+    for ridge in ridges:
+        middle = float(np.median([other.depth for other in ridges if abs(other.column - ridge.column) <= LEVELS]))
+        front = ridge.front_at(height)
+        back = np.where(height < ridge.top, 2 * middle - front, -np.inf)
+        filled[ridge.column] = (depth[:, None] >= front) & (depth[:, None] <= back)
     return filled
 
 

@@ -29,8 +29,8 @@ LIKELY_SCALE = (0.8, 1.25)
 LIKELY_TILT = 0.35
 """Larger errors are not those of a camera, but of what was said to be known."""
 POSE_SHARE = 0.5
-"""Whether the depth is tilted or the camera's pose is turned, no table tells; half a degree of either is common. With
-half for each, nothing is far wrong: a degree of the pose moves what is 0.6 m away by 15 mm if it is put on the depth."""
+"""Whether the depth is tilted or the camera's pose is turned, no table tells, and half a degree of either is common.
+With half for each, nothing is far wrong; a degree of the pose, put on the depth, moves what is 0.6 m away by 15 mm."""
 LIKELY_LEAN = np.radians(4.0)
 """What leans by more is no error of calibration."""
 VERTICAL = np.array([0.0, 0.0, 1.0])

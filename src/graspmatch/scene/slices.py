@@ -1,4 +1,5 @@
-"""Level slices through what was seen of an object: its front across the view, and the back that it suggests."""
+"""Slices through what was seen of an object, level ones and upright ones along the view: the front that was seen, and
+the back that it suggests."""
 
 from __future__ import annotations
 
@@ -24,6 +25,12 @@ ROUND, ROUND_FROM = 0.05, 0.0012
 """A front that is this near to a circle, in its radii or in metres, is one ..."""
 WIDEST_CIRCLE = 1.6
 """... unless its radius is more than so many halves of the width: then it is nearly flat."""
+RIDGE = 0.003
+"""What is lower than the top of an upright slice by less is its ridge [m]."""
+FALLING = 0.2
+"""Of the normals behind a ridge, away from the sensor, at least: the slice is seen to fall there ..."""
+FEWEST_BEHIND, AGREES = 5, 0.005
+"""... by so many points, which lie where the front mirrored at the ridge is, to this [m], half of them."""
 LEVELS, OFFSET = 3, 0.01
 """Circles of slices so near above and below [voxels], and so near across the view [m], stand for one another."""
 
@@ -43,6 +50,47 @@ class Slice:
     """Depth of the middle between its two ends."""
     circle: tuple[float, float] | None
     """Middle of the circle that the front is of."""
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """An upright slice along the view, whose top was seen from before and behind."""
+
+    column: int
+    top: float
+    """[m]"""
+    depth: float
+    """Of the ridge [m]."""
+    heights: Float[Array, "k"]
+    """Those at which the front was seen, upwards [m] ..."""
+    front: Float[Array, "k"]
+    """... and its depth there [m]."""
+
+    def front_at(self, heights: Float[Array, "h"]) -> Float[Array, "h"]:
+        """The front at any height."""
+        return np.interp(heights, self.heights, self.front)
+
+
+def ridge_of(
+    points: Float[Array, "n 3"], normals: Float[Array, "n 3"], column: int, across: float, spacing: float
+) -> Ridge | None:
+    """The upright slice at a place across the view, if it has a ridge at which its front, mirrored, agrees with what
+    was seen behind: so it is with what is round and lies."""
+    near = np.abs(points[:, 0] - across) < THICKNESS / 2
+    if np.count_nonzero(near) < FEWEST:
+        return None
+    at, away = points[near], normals[near, 1]
+    top = float(np.percentile(at[:, 2], 98))
+    depth = float(at[at[:, 2] > top - RIDGE, 1].mean())
+    level = np.floor(at[:, 2] / spacing).astype(int)
+    levels = np.unique(level)
+    front = np.array([at[level == each, 1].min() for each in levels])
+    ridge = Ridge(column, top, depth, (levels + 0.5) * spacing, front)
+    behind = at[(at[:, 1] > depth) & (away > FALLING)]
+    if len(behind) < FEWEST_BEHIND:
+        return None
+    off = np.abs(2 * depth - ridge.front_at(behind[:, 2]) - behind[:, 1])
+    return ridge if np.median(off) < AGREES else None
 
 
 def slice_of(

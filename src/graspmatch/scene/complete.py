@@ -2,9 +2,9 @@
 
 Four guesses, wherever the sensor did not see free space. Extrusion: what is seen goes down to the table. Half turn: at
 each height an object is the same when turned by half a turn about its middle, as boxes and bottles are. Circle: where
-its front is round, that middle is the circle's. Ridge: what is seen to fall behind its top as it rises before it does so
-down to the table, as a bottle that lies. They fill voxels in a frame whose x runs across the view, y away from the
-sensor and z up.
+its front is round, that middle is the circle's. Ridge: what falls behind its top as it rises before it goes on so down
+to the table, as a bottle that lies. They fill voxels in a frame whose x runs across the view, y away from the sensor
+and z up.
 """
 
 from __future__ import annotations

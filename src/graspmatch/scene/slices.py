@@ -25,12 +25,10 @@ ROUND, ROUND_FROM = 0.05, 0.0012
 """A front that is this near to a circle, in its radii or in metres, is one ..."""
 WIDEST_CIRCLE = 1.6
 """... unless its radius is more than so many halves of the width: then it is nearly flat."""
-RIDGE = 0.003
-"""What is lower than the top of an upright slice by less is its ridge [m]."""
 FALLING = 0.2
 """Of the normals behind a ridge, away from the sensor, at least: the slice is seen to fall there ..."""
 FEWEST_BEHIND, AGREES = 5, 0.005
-"""... by so many points, which lie where the front mirrored at the ridge is, to this [m], half of them."""
+"""... by so many points, half of which say where the mirror is to this [m]."""
 LEVELS, OFFSET = 3, 0.01
 """Circles of slices so near above and below [voxels], and so near across the view [m], stand for one another."""
 
@@ -74,23 +72,26 @@ class Ridge:
 def ridge_of(
     points: Float[Array, "n 3"], normals: Float[Array, "n 3"], column: int, across: float, spacing: float
 ) -> Ridge | None:
-    """The upright slice at a place across the view, if it has a ridge at which its front, mirrored, agrees with what
-    was seen behind: so it is with what is round and lies."""
+    """The upright slice at a place across the view, if it is seen to fall behind its ridge as it rises before it, the
+    other way round: so it is with what is round and lies."""
     near = np.abs(points[:, 0] - across) < THICKNESS / 2
     if np.count_nonzero(near) < FEWEST:
         return None
     at, away = points[near], normals[near, 1]
-    top = float(np.percentile(at[:, 2], 98))
-    depth = float(at[at[:, 2] > top - RIDGE, 1].mean())
-    level = np.floor(at[:, 2] / spacing).astype(int)
-    levels = np.unique(level)
-    front = np.array([at[level == each, 1].min() for each in levels])
-    ridge = Ridge(column, top, depth, (levels + 0.5) * spacing, front)
-    behind = at[(at[:, 1] > depth) & (away > FALLING)]
-    if len(behind) < FEWEST_BEHIND:
+    before = at[away < 0]
+    levels, level = np.unique(np.floor(before[:, 2] / spacing), return_inverse=True)
+    if len(levels) < 2:
         return None
-    off = np.abs(2 * depth - ridge.front_at(behind[:, 2]) - behind[:, 1])
-    return ridge if np.median(off) < AGREES else None
+    front = np.bincount(level, weights=before[:, 1]) / np.bincount(level)
+    heights = (levels + 0.5) * spacing
+    # What is seen behind and the front at the same height have the mirror half way between them.
+    halfway = (at[:, 1] + np.interp(at[:, 2], heights, front))[away > FALLING] / 2
+    if len(halfway) < FEWEST_BEHIND:
+        return None
+    depth = float(np.median(halfway))
+    if np.median(np.abs(halfway - depth)) > AGREES:
+        return None
+    return Ridge(column, float(np.percentile(at[:, 2], 98)), depth, heights, front)
 
 
 def slice_of(

@@ -244,6 +244,6 @@ def _unseen_surface(solid: Bool[Array, "x y z"], seen: Float[Array, "n 3"], voxe
     slope = np.moveaxis(np.array(np.gradient(smooth)), 0, -1)[tuple(index.T)]
     length = np.linalg.norm(slope, axis=-1)
     points = voxels.centres(index - margin)
-    distance, _ = KDTree(seen).query(points)
+    distance, _ = KDTree(seen).query(points, distance_upper_bound=AWAY)  # infinite beyond that
     keep = (length > 1e-3) & (distance > AWAY)
     return PointCloud(points[keep], -(slope[keep] / length[keep, None]) @ voxels.R_world_grid.T)

@@ -46,8 +46,6 @@ class SightLines:
 
 def sight_lines(view: View, target_world: Float[Array, "n 3"], reach: float) -> SightLines | None:
     """Those that pass a target, or beside it by so much [m]; None where nobody knows where the sensor stands."""
-    from scipy.ndimage import minimum_filter
-
     if view.origin is None:
         return None
     origin = to_world(view, view.origin[None])[0]
@@ -69,8 +67,15 @@ def sight_lines(view: View, target_world: Float[Array, "n 3"], reach: float) -> 
     order = np.argsort(-z)  # of those in one pixel the nearest is written last
     depth = np.full((2 * half + 1, 2 * half + 1), np.inf, dtype=np.float32)
     depth[row[order], column[order]] = z[order]
-    depth = np.where(np.isfinite(depth), depth, minimum_filter(depth, 3))  # rays between pixels, and pixels that failed
+    depth = np.where(np.isfinite(depth), depth, _nearest_around(depth))  # rays between pixels, and pixels that failed
     return SightLines(np.where(np.isfinite(depth), depth, np.nan).astype(np.float32), R, origin, focal)
+
+
+def _nearest_around(depth: Float32[Array, "n n"]) -> Float32[Array, "n n"]:
+    """The least of the 3 x 3 pixels around each."""
+    padded = np.pad(depth, 1, constant_values=np.inf)
+    rows = np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
+    return np.minimum(np.minimum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
 
 
 def _pixel_angle(view: View, target_world: Float[Array, "n 3"], distance: float) -> float:

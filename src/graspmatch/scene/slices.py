@@ -23,7 +23,7 @@ STEEPEST = 0.8
 """Of the normals of a wall, up."""
 ROUND, ROUND_FROM = 0.05, 0.0012
 """A front that is this near to a circle, in its radii or in metres, is one ..."""
-WIDEST_CIRCLE = 1.6
+WIDEST_CIRCLE = 1.25
 """... unless its radius is more than so many halves of the width: then it is nearly flat."""
 FALLING = 0.2
 """Of the normals behind a ridge, away from the sensor, at least: the slice is seen to fall there ..."""

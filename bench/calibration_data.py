@@ -22,7 +22,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from graspmatch.apps.bench.machine import machine, usable_cores
 from graspmatch.apps.bench.objects import ObjectSource, folder_sources, household_sources
-from graspmatch.apps.bench.trials import NO_GRASP, TOPPLES, random_place, stage, use_threads
+from graspmatch.apps.bench.processes import use_threads
+from graspmatch.apps.bench.trials import NO_GRASP, TOPPLES, random_place, stage
 from graspmatch.config import LiftConfig, PlannerConfig
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import write_atomically

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from graspmatch.apps.bench import trials as trials_module
+from graspmatch.apps.bench.experiments import variant_of
 from graspmatch.apps.bench.objects import ObjectSource, folder_sources, household_sources
 from graspmatch.apps.bench.plots import Series, plot_against_count, plot_rates
 from graspmatch.apps.bench.records import read_records, recorded
@@ -18,7 +19,8 @@ from graspmatch.apps.bench.run import Benchmark, Workshop, run_benchmark
 from graspmatch.apps.bench.summary import summary, wilson
 from graspmatch.apps.bench.tables import markdown
 from graspmatch.apps.bench.trials import NO_GRASP, TOPPLES, Job, PlanWith, Trial, TrialConfig, run_trial, run_trials
-from graspmatch.config import LiftConfig, PlannerConfig
+from graspmatch.apps.bench.view import view_sections
+from graspmatch.config import LiftConfig, PlannerConfig, SensorConfig, ViewConfig
 from graspmatch.errors import GraspmatchError
 from graspmatch.gripper.load import load_gripper
 from graspmatch.scene.scene import Scene
@@ -128,9 +130,9 @@ def test_a_benchmark_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: p
 
 def test_records_of_nothing_are_nothing(tmp_path: Path) -> None:
     path = tmp_path / "trials.jsonl"
-    assert read_records(path, {}) == []
+    assert read_records(path, {}, Trial) == []
     assert list(recorded([], path, {"a": 1}, done=0)) == []
-    assert read_records(path, {"a": 1}) == []
+    assert read_records(path, {"a": 1}, Trial) == []
 
 
 @pytest.mark.parametrize("n", [1, 20, 50])
@@ -203,3 +205,47 @@ def test_the_header_of_a_benchmark_names_what_results_depend_on(tmp_path: Path) 
     assert "count=3" in header["planner"]
     assert header["settings"]["lift"]["friction"] == 0.6
     assert header["gripper"] == load_gripper("kinova_kg3").name
+
+
+def test_views_are_split_by_the_side_and_the_share_that_was_seen() -> None:
+    seen = [
+        replace(a_trial("a", held), azimuth=np.radians(azimuth), seen=share, centre_error=0.004)
+        for held, azimuth, share in ((True, -2.0, 0.45), (False, 358.0, 0.1), (True, 88.0, 0.45), (True, -91.0, 0.62))
+    ]
+    by_side, by_share, centre = view_sections(seen)
+    assert [(row.name, row.held, row.trials) for row in by_side.rows] == [
+        ("000 degrees", 1, 2),
+        ("090 degrees", 1, 1),
+        ("270 degrees", 1, 1),
+    ]
+    assert [(row.name, row.held, row.trials) for row in by_share.rows] == [
+        ("00 to 20 %", 0, 1),
+        ("40 to 50 %", 2, 2),
+        ("50 to 100 %", 1, 1),
+    ]
+    assert centre.text.startswith("Median 4.0 mm")
+    assert "## By the share" in markdown("Views", [], {}, [], [by_share])
+    assert view_sections([a_trial("a", True)])[0].rows == []
+
+
+def test_a_trial_can_be_planned_from_one_depth_image() -> None:
+    seen = run_trial(job(0, replace(SHORT, view=ViewConfig())))
+    assert seen.held
+    assert seen.azimuth is not None
+    assert seen.seen is not None
+    assert 0.1 < seen.seen < 0.7
+    assert seen.centre_error is not None
+    assert seen.centre_error < 0.015
+    blind = run_trial(job(0, replace(SHORT, view=ViewConfig(completes=False))))
+    assert blind.azimuth == seen.azimuth  # the same place, the same image
+    assert blind.centre_error is not None
+    assert blind.centre_error > 2 * seen.centre_error
+
+
+def test_variants_of_the_camera_have_files_of_their_own() -> None:
+    usual = variant_of(TrialConfig(view=ViewConfig()))
+    low = variant_of(TrialConfig(view=ViewConfig(elevation=0.5)))
+    off = variant_of(TrialConfig(view=ViewConfig(sensor=SensorConfig(pose_error_position=0.005))))
+    assert usual == ""
+    assert low == "-elevation-0.5"
+    assert off == "-pose-error-position-0.005"

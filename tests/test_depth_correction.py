@@ -9,8 +9,9 @@ import pytest
 
 from depth_scenes import Box, Cylinder, K, Setting, camera_at, noisy, render
 from graspmatch.errors import GraspmatchError
+from graspmatch.geometry.se3 import from_parts, rotation_exp
 from graspmatch.scene.camera import Camera, pixel_rays
-from graspmatch.scene.correct import correct_depth
+from graspmatch.scene.correct import correct_depth, levelled
 from graspmatch.scene.depth import DepthImage, depth_image
 from graspmatch.scene.scene import Scene
 
@@ -83,7 +84,9 @@ def test_what_is_no_error_of_a_camera_is_refused(known: dict, expected: str) -> 
 def test_a_scene_with_a_known_table_has_its_object_in_the_right_place() -> None:
     image, _, _ = lying(1.03, 0.02, -0.02)
     placed = replace(image, camera=SETTING.camera)
-    scene = Scene.from_depth(placed, table=0.0, at=pixel_of(np.array([0.12, 0.0, 0.06])))
+    scene = Scene.from_depth(
+        placed, table=0.0, at=pixel_of(np.array([0.12, 0.0, 0.06])), correct="depth", complete=False
+    )
     assert any("scaled by 0.97" in note for note in scene.notes)
     top = float(np.percentile(scene.target.points[:, 2], 99))
     assert top == pytest.approx(0.11, abs=0.004)
@@ -113,3 +116,25 @@ def test_a_height_without_a_pose_is_refused() -> None:
 
 def test_the_camera_of_these_tests_stands_where_it_looks_from() -> None:
     assert camera_at(45, 0.7).pose[2, 3] == pytest.approx(0.03 + 0.7 * np.sin(np.pi / 4))
+
+
+def test_half_of_a_wrong_pose_is_undone_where_the_table_is_known() -> None:
+    image, _, _ = lying(1.0, 0.0, 0.0)
+    lean = from_parts(rotation_exp(np.array([0.02, 0.0, 0.0])), np.zeros(3))
+    placed = replace(image, camera=SETTING.camera.placed(SETTING.camera.pose @ lean))
+    front = {}
+    for correct in ("depth", "auto"):
+        at = pixel_of(np.array([0.12, 0.0, 0.06]))
+        scene = Scene.from_depth(placed, table=0.0, at=at, correct=correct, complete=False)
+        front[correct] = float(np.percentile(scene.target.points[:, 1], 1)) - -0.035
+    assert abs(front["depth"]) > 0.012
+    assert abs(front["auto"]) < 0.65 * abs(front["depth"])
+
+
+def test_a_table_that_leans_too_much_is_no_matter_of_calibration() -> None:
+    image, _, _ = lying(1.0, 0.0, 0.0)
+    lean = from_parts(rotation_exp(np.array([0.1, 0.0, 0.0])), np.zeros(3))
+    placed = replace(image, camera=SETTING.camera.placed(SETTING.camera.pose @ lean))
+    np.testing.assert_array_equal(levelled(placed).camera.pose, placed.camera.pose)
+    straight = replace(image, camera=SETTING.camera)
+    np.testing.assert_allclose(levelled(straight).camera.pose, SETTING.camera.pose, atol=2e-3)

@@ -324,6 +324,51 @@ class TugConfig:
     pull_seconds: float = 0.5
 
 
+@dataclass(frozen=True)
+class SensorConfig:
+    """How a simulated depth camera errs; the defaults are those of a RealSense D435 at arm's length."""
+
+    axial_noise: float = 0.0025
+    """Standard deviation of the depth, per squared depth [1/m]: 0.9 mm at 0.6 m."""
+    noise_width: float = 1.5
+    """Neighbours so near share their noise [pixels]: stereo matches windows."""
+    scale_error: float = 0.01
+    """Standard deviation of the factor that a whole image is wrong by."""
+    tilt_error: float = 0.01
+    """The same per unit of x / z and of y / z: half of that at the sides of the image."""
+    disparity_step: float = 0.001
+    """Least step of the depth, per squared depth [1/m]; besides, depths are whole millimetres."""
+    dropout: float = 0.005
+    """Share of all pixels that measure nothing ..."""
+    edge_dropout: float = 0.3
+    """... and of those beside an edge."""
+    flying: float = 0.3
+    """Share of the pixels beside an edge that average what is in front and behind."""
+    grazing: float = math.radians(80.0)
+    """Surfaces seen at a larger angle to their normal measure nothing [rad]."""
+    pose_error_position: float = 0.0
+    """By so much the camera's pose is off, in a random direction [m] ..."""
+    pose_error_angle: float = 0.0
+    """... and turned, about a random axis [rad]."""
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """From where a simulated depth camera sees the table, and what is done with its image."""
+
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    azimuth: float = math.pi
+    """Of the camera's place around the origin, counter-clockwise from x [rad]: the robot's side."""
+    elevation: float = math.radians(45.0)
+    """Of that place above the table [rad]."""
+    distance: float = 0.6
+    """From what the camera looks at [m]."""
+    knows_table: bool = True
+    """Whether the planner is told the table's height, or has to find it."""
+    completes: bool = True
+    """Whether the far side of what is seen is guessed."""
+
+
 def check(config: PlannerConfig) -> None:
     """Raise `GraspmatchError` for a value that planning cannot work with."""
     seeding, matching, collision = config.seeding, config.matching, config.collision

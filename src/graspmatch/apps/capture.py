@@ -77,7 +77,8 @@ class _Source:
 
     def options(self, capture: Capture, table: Table) -> dict[str, Any]:
         """What the library takes besides which object it is."""
-        options: dict[str, Any] = {"mask": capture.mask, "table": table, "up": _place(capture.up, "--up", "0,-1,0")}
+        options: dict[str, Any] = {"mask": capture.mask, "table": table, "complete": capture.complete}
+        options["up"] = _place(capture.up, "--up", "0,-1,0")
         if self.depth is None:
             return options | {"unit": self.unit, "T_world_cloud": _pose(capture)}
         scale = METRES[self.unit] if capture.depth_scale is None and self.unit != "auto" else capture.depth_scale

@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from graspmatch.config import PlannerConfig
+from graspmatch.config import PlannerConfig, ViewConfig
 
+Experiment = Literal["paper", "ablation", "quick", "view", "clutter"]
 Config = Annotated[PlannerConfig, tyro.conf.arg(name="")]
 
 
@@ -27,8 +28,11 @@ class Capture:
     """Direction against gravity in the camera frame as x,y,z, where the camera's pose is not known."""
     depth_scale: float | None = None
     """Metres for one step of the depth; none: integers are millimetres, floats metres."""
-    correct_depth: Literal["auto", "tilt", "off"] = "auto"
-    """auto: scale and tilt the depth so that the table comes out at the given --table; tilt: only make it level."""
+    correct_depth: Literal["auto", "depth", "tilt", "off"] = "auto"
+    """auto: make the table come out at the given --table by turning the camera and scaling and tilting the depth;
+    depth: by the depth alone, the pose is exact; tilt: only make it level."""
+    complete: bool = True
+    """Guess the far side of the target, which the camera did not see."""
     object: int | None = None
     """Number of the target in the scene; 0 is the one of which most is seen."""
     at: str | None = None
@@ -212,8 +216,9 @@ class Simulate:
 class Bench:
     """Plan for objects at random places and lift the best grasp of each plan in the simulator."""
 
-    what: Annotated[tyro.conf.Positional[Literal["paper", "ablation", "quick"]], tyro.conf.arg(metavar="WHAT")]
-    """paper: Table II or III; ablation: numbers of initialisations, and methods; quick: twelve objects made by code."""
+    what: Annotated[tyro.conf.Positional[Experiment], tyro.conf.arg(metavar="WHAT")]
+    """paper: Table II or III; ablation: numbers of initialisations, and methods; quick: twelve objects made by code;
+    view: planned from one depth image each; clutter: piles of objects, cleared from one depth image after another."""
     gripper: str = "franka_hand"
     """Name of a known hand, or path of a card."""
     description: Path | None = None
@@ -221,7 +226,7 @@ class Bench:
     objects: Path = Path("../shared/data/objects/paper")
     """Folder of NAME/mesh.stl, or of mesh files; not for quick."""
     trials: int | None = None
-    """Per object; none: 50 for paper, 5 for ablation, 3 for quick."""
+    """Per object, or piles; none: 50 for paper, 5 for ablation, 3 for quick, 10 for view, 20 for clutter."""
     friction: float = 0.6
     """Sliding friction of every contact."""
     mass: float | None = None
@@ -230,6 +235,9 @@ class Bench:
     """Standard deviation of the hand's position along each axis."""
     pose_error_deg: float = 0.0
     """Of its rotation about each axis."""
+    camera: Annotated[ViewConfig, tyro.conf.arg(name="camera")] = field(default_factory=ViewConfig)
+    pile: int = 5
+    """Objects in a pile."""
     processes: int | None = None
     """How many trials run at once; none: one for each core."""
     output: Path = Path("bench-results")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Shaped
@@ -12,7 +12,7 @@ from jaxtyping import Shaped
 from graspmatch.geometry.se3 import inverse
 from graspmatch.scene.camera import Camera, camera
 from graspmatch.scene.camera_file import read_intrinsics
-from graspmatch.scene.correct import correct_depth
+from graspmatch.scene.correct import correct_depth, levelled
 from graspmatch.scene.depth import DepthImage, depth_image
 from graspmatch.scene.depth_file import read_depth
 from graspmatch.scene.view import View, view_of_depth, with_up
@@ -20,7 +20,7 @@ from graspmatch.types import GraspmatchError, Plane
 
 Array = np.ndarray
 PathLike = str | os.PathLike[str]
-Correct = Literal["auto", "tilt", "off"]
+Correct = Literal["auto", "depth", "tilt", "off"]
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 
@@ -38,15 +38,20 @@ def depth_view(
     image, source = _image(depth, camera_or_file, metres_per_unit)
     view = with_up(view_of_depth(image, source), up)
     plane = plane_in_view(view, table)
-    if correct not in ("auto", "tilt", "off"):
-        raise GraspmatchError(f"Unknown correction {correct!r}. Known: auto, tilt, off.")
+    if correct not in get_args(Correct):
+        raise GraspmatchError(f"Unknown correction {correct!r}. Known: {', '.join(get_args(Correct))}.")
     if correct == "tilt":
         if view.up is None:
             raise GraspmatchError(
                 "To make the table level, give the camera's pose (--camera-pose) or what is up (--up)."
             )
         image, _ = correct_depth(image, up_camera=view.up, camera_height=None if plane is None else -plane.offset)
-    elif correct == "auto" and plane is not None:
+    elif correct in ("auto", "depth") and plane is not None:
+        if correct == "auto" and view.is_placed:
+            image = levelled(image)
+            view = with_up(view_of_depth(image, source), up)
+            plane = plane_in_view(view, table)
+            assert plane is not None
         image, _ = correct_depth(image, up_camera=plane.normal, camera_height=-plane.offset)
     else:
         return view, plane

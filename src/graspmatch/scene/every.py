@@ -23,10 +23,11 @@ def scenes_of_depth(
     metres_per_unit: float | None = None,
     correct: Correct = "auto",
     up: Sequence[float] | Array | None = None,
+    complete: bool = True,
 ) -> dict[int, Scene]:
     """The scenes of all objects in a depth image, by their numbers; arguments are as for `Scene.from_depth`."""
     view, plane = depth_view(depth, camera, table, metres_per_unit=metres_per_unit, correct=correct, up=up)
-    return _scenes(view, plane, table, mask)
+    return _scenes(view, plane, table, mask, complete)
 
 
 def scenes_of_view(
@@ -38,16 +39,19 @@ def scenes_of_view(
     T_world_cloud: Array | None = None,
     sensor_origin: Sequence[float] | Array | None = None,
     up: Sequence[float] | Array | None = None,
+    complete: bool = True,
 ) -> dict[int, Scene]:
     """The scenes of all objects in a cloud, by their numbers; arguments are as for `Scene.from_view`."""
     if not isinstance(view, View):
         view = cloud_view(view, unit, T_world_cloud, sensor_origin)
     view = with_up(view, up)
-    return _scenes(view, plane_in_view(view, table, METRES[unit]), table, mask)
+    return _scenes(view, plane_in_view(view, table, METRES[unit]), table, mask, complete)
 
 
-def _scenes(view: View, plane: Plane | None, table: Table, mask: PathLike | Array | None) -> dict[int, Scene]:
+def _scenes(
+    view: View, plane: Plane | None, table: Table, mask: PathLike | Array | None, complete: bool
+) -> dict[int, Scene]:
     targets = targets_of(view, plane, mask=mask)
     if table is None:
         targets = {number: replace(target, table=None) for number, target in targets.items()}
-    return {number: view_scene(Scene, view, target) for number, target in targets.items()}
+    return {number: view_scene(Scene, view, target, complete=complete) for number, target in targets.items()}

@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from graspmatch.geometry.mesh import TriangleMesh
 from graspmatch.scene import surface
 from graspmatch.scene.camera import Camera
+from graspmatch.scene.complete import far_side, hidden_part
 from graspmatch.scene.depth import DepthImage
 from graspmatch.scene.depth_view import Correct, depth_view, plane_in_view
 from graspmatch.scene.read import CloudFile, read_cloud, read_mesh, read_object, triangles
+from graspmatch.scene.sight import sight_lines
 from graspmatch.scene.target import Target, target_of
 from graspmatch.scene.view import View, to_world, view_of_cloud, with_up
 from graspmatch.types import GraspmatchError, Plane, PointCloud
@@ -32,6 +34,8 @@ Table = Literal["auto"] | float | int | Plane | None
 METRES = {"auto": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001}
 OBSTACLE_SPACING = 0.004
 """Distance between the points of what else a sensor saw [m], at least."""
+HAND_REACH = 0.12
+"""So far beside the target a hand may be in the way of other things [m]."""
 SMALLEST, LARGEST = 0.003, 3.0
 """Sizes of an object [m] between which nobody asks whether its unit is right."""
 
@@ -43,11 +47,11 @@ class Scene:
     target: PointCloud
     """R: the surface of the object, a point every 2.5 mm, closer on small objects, with outward normals."""
     obstacles: PointCloud
-    """Other things that must not be hit; of length zero if there are none."""
+    """Other things that must not be hit, with what they may have where nobody saw; of length zero if there are none."""
     table: Plane | None
     """Support plane, its normal up."""
     centre_of_mass: Float[Array, "3"]
-    """Centroid of the volume [m] where the mesh is watertight, of the surface otherwise."""
+    """Centroid of the volume [m] where the mesh is watertight or the far side is guessed, of the surface otherwise."""
     source: str
     """Name of the file, or `array`."""
     sensor_origin: Float[Array, "3"] | None = None
@@ -58,6 +62,8 @@ class Scene:
     """What was dropped, turned or assumed, one sentence each."""
     view: View | None = None
     """What the sensor saw, where the scene was cut from it: it knows the space that is free and what is hidden."""
+    is_guessed: Bool[Array, "n"] | None = None
+    """Which points of the target nobody saw: its far side as it is likely to be; None where all are measured."""
 
     @classmethod
     def read(
@@ -137,6 +143,7 @@ class Scene:
         metres_per_unit: float | None = None,
         correct: Correct = "auto",
         up: Sequence[float] | Array | None = None,
+        complete: bool = True,
     ) -> Scene:
         """The scene of one object in a depth image (h, w) of a table with things on it.
 
@@ -146,13 +153,15 @@ class Scene:
             which most is seen. A mask may mark several objects by their values, which are their numbers.
         table: `auto` finds it; its height in the world needs the camera's pose.
         metres_per_unit: what one step of the depth is [m]; without it, integers are millimetres and floats metres.
-        correct: `auto` scales and tilts the depth where the table's height is given, so that the table comes out there;
-            `tilt` only makes the table level, which needs the camera's pose or `up`; `off` believes the depth.
+        correct: `auto` makes the table come out where it is, if its height is given: half of what it leans is put on
+            the camera's pose, the rest on the depth, which is scaled and tilted; `depth` believes the pose; `tilt` only
+            makes the table level, which needs the camera's pose or `up`; `off` believes pose and depth.
         up: against gravity, in the camera frame, where that is known and the camera's pose is not.
+        complete: guess the far side of the object, where there is a table and the camera's place is known.
         """
         view, plane = depth_view(depth, camera, table, metres_per_unit=metres_per_unit, correct=correct, up=up)
         target = target_of(view, plane, number=object, at=at, mask=mask)
-        return view_scene(cls, view, target if table is not None else replace(target, table=None))
+        return view_scene(cls, view, target if table is not None else replace(target, table=None), complete=complete)
 
     @classmethod
     def from_view(
@@ -167,19 +176,20 @@ class Scene:
         T_world_cloud: Array | None = None,
         sensor_origin: Sequence[float] | Array | None = None,
         up: Sequence[float] | Array | None = None,
+        complete: bool = True,
     ) -> Scene:
         """The scene of one object in a cloud of a table with things on it: a file, an array or a `View`.
 
-        `object`, `at`, `mask`, `table` and `up` are as for `from_depth`; where the cloud has no rows, `at` is x, y [m]
-        in its frame, and there can be no mask. An organised array is (h, w, 3). `T_world_cloud` is the pose of a cloud
-        that is in its camera's frame.
+        `object`, `at`, `mask`, `table`, `up` and `complete` are as for `from_depth`; where the cloud has no rows, `at`
+        is x, y [m] in its frame, and there can be no mask. An organised array is (h, w, 3). `T_world_cloud` is the pose
+        of a cloud that is in its camera's frame.
         """
         if not isinstance(view, View):
             view = cloud_view(view, unit, T_world_cloud, sensor_origin)
         view = with_up(view, up)
         plane = plane_in_view(view, table, _metres(unit))
         target = target_of(view, plane, number=object, at=at, mask=mask)
-        return view_scene(cls, view, target if table is not None else replace(target, table=None))
+        return view_scene(cls, view, target if table is not None else replace(target, table=None), complete=complete)
 
 
 def _mesh_scene(mesh: TriangleMesh, name: str, table: Table, unit: Unit, obstacles: object) -> Scene:
@@ -224,19 +234,45 @@ def _cloud_scene(
     )
 
 
-def view_scene(cls: type[Scene], view: View, target: Target) -> Scene:
-    """The scene of one object of a view."""
+def view_scene(cls: type[Scene], view: View, target: Target, *, complete: bool) -> Scene:
+    """The scene of one object of a view, its far side guessed where that is wanted."""
     origin = None if view.origin is None else to_world(view, view.origin[None])[0]
     seen, _, spacing, notes = surface.cloud_surface(target.points, None, origin)
-    return cls(
+    obstacles = surface.thin_obstacles(target.obstacles, max(spacing, OBSTACLE_SPACING))
+    scene = cls(
         target=seen,
-        obstacles=PointCloud(surface.thin_obstacles(target.obstacles, max(spacing, OBSTACLE_SPACING))),
+        obstacles=PointCloud(obstacles),
         table=target.table,
         centre_of_mass=seen.points.mean(axis=0),
         source=view.source,
         sensor_origin=origin,
         notes=(*view.notes, *target.notes, *notes),
         view=view,
+    )
+    return completed(scene) if complete else scene
+
+
+def completed(scene: Scene) -> Scene:
+    """The scene with the far side of its target guessed, and what other things near it may have where nobody saw;
+    unchanged where there is no table, no view, or no sensor's place."""
+    if scene.view is None or scene.table is None or scene.is_guessed is not None:
+        return scene
+    seen, others = scene.target, scene.obstacles.points
+    low, high = seen.points.min(axis=0) - HAND_REACH, seen.points.max(axis=0) + HAND_REACH
+    others = others[np.all((others > low) & (others < high), axis=1)]
+    lines = sight_lines(scene.view, seen.points, 2 * HAND_REACH)
+    found = None if lines is None else far_side(seen, scene.table, lines, others)
+    if lines is None or found is None:
+        return scene
+    hidden = hidden_part(others, scene.table, lines, seen.points)
+    both = [(seen.points, seen.normals), (found.guessed.points, found.guessed.normals)]
+    points, normals = (np.concatenate(parts) for parts in zip(*both, strict=True))
+    return replace(
+        scene,
+        target=PointCloud(points, normals),
+        obstacles=PointCloud(np.concatenate([scene.obstacles.points, hidden])),
+        centre_of_mass=found.centre_of_mass,
+        is_guessed=np.arange(len(points)) >= len(seen.points),
     )
 
 

@@ -20,7 +20,7 @@ class Touch:
     hand_on_object: bool
     """Any part of the hand, the palm too."""
     press: float
-    """Sum of the normal forces between hand and object [N]."""
+    """Sum of the normal forces between the hand and this and all other objects [N]."""
     hand_on_table: bool
     depth: float
     """Deepest penetration of hand and object [m]."""
@@ -47,9 +47,12 @@ def touch(world: World, data: mujoco.MjData) -> Touch:
         if TABLE_BIT in kinds[i]:
             on_table = True
         elif OBJECT_BIT in kinds[i]:
-            own = geoms[i][kinds[i] == HAND_BIT][0]
-            fingers.add(int(world.finger_of_body[model.geom_bodyid[own]]))
             press += force[0]
+            bodies = model.geom_bodyid[geoms[i]]
+            if world.object_body not in bodies:
+                continue
+            own = bodies[kinds[i] == HAND_BIT][0]
+            fingers.add(int(world.finger_of_body[own]))
             depth = max(depth, -float(data.contact.dist[i]))
             on_object = True
     return Touch(frozenset(fingers - {-1}), on_object, press, on_table, depth)

@@ -41,6 +41,14 @@ def lift(
     start = T_world_gripper.copy()
     start[:3, 3] = T_world_pregrasp[:3, 3]
     run = Run(world, place(world, start, T_world_object, pregrasp_joints), recording)
+    return lift_in(run, T_world_gripper, T_world_object, config)
+
+
+def lift_in(
+    run: Run, T_world_gripper: Float[Array, "4 4"], T_world_object: Float[Array, "4 4"], config: LiftConfig
+) -> Verdict:
+    """Try one grasp in a world that is ready for it: the hand in its place before the approach, all things at rest."""
+    world = run.world
     trouble, push, depth = _approach(run, T_world_gripper, T_world_object, config)
     if trouble:
         return verdict_of(run, trouble, push=push, depth=depth)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -70,6 +71,10 @@ class World:
     """... and where a posture has them."""
     finger_of_body: Int[Array, "b"]
     """Index of the finger that each body belongs to, or -1."""
+    others: tuple[RigidBody, ...] = ()
+    """What else lies on the table."""
+    other_bodies: tuple[int, ...] = ()
+    other_qpos: tuple[int, ...] = ()
 
     @property
     def link_bodies(self) -> list[int]:
@@ -97,17 +102,17 @@ def new_spec(physics: Physics) -> mujoco.MjSpec:
     return spec
 
 
-def add_object(spec: mujoco.MjSpec, target: RigidBody) -> None:
+def add_object(spec: mujoco.MjSpec, target: RigidBody, name: str = OBJECT) -> None:
     """A free body of convex parts, with the frame of the mesh."""
-    body = spec.worldbody.add_body(name=OBJECT)
-    body.add_freejoint(name=OBJECT)
+    body = spec.worldbody.add_body(name=name)
+    body.add_freejoint(name=name)
     moments, axes = np.linalg.eigh(target.inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     body.explicitinertial = True
     body.mass, body.ipos, body.inertia = target.mass, target.centre_of_mass, moments
     body.iquat = quaternion_from_matrix(axes)
     for i, part in enumerate(target.parts):
-        mesh = spec.add_mesh(name=f"part_{i}")
+        mesh = spec.add_mesh(name=f"{name}_part_{i}")
         mesh.uservert, mesh.userface = part.vertices.ravel(), part.faces.ravel()
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         body.add_geom(
@@ -132,10 +137,13 @@ def compile_spec(spec: mujoco.MjSpec, physics: Physics) -> mujoco.MjModel:
         raise GraspmatchError(f"MuJoCo cannot build the world: {error}") from error
 
 
-def build_world(target: RigidBody, hand: HandModel, physics: Physics) -> World:
-    """Object, table and hand."""
+def build_world(target: RigidBody, hand: HandModel, physics: Physics, others: Sequence[RigidBody] = ()) -> World:
+    """Object, table and hand, and what else lies there."""
     spec = new_spec(physics)
     add_object(spec, target)
+    other_names = [other_name(i) for i in range(len(others))]
+    for name, other in zip(other_names, others, strict=True):
+        add_object(spec, other, name)
     add_hand(spec, hand)
     model = compile_spec(spec, physics)
     drives = [model.joint(PREFIX + name).id for name in hand.joint_names]
@@ -163,13 +171,25 @@ def build_world(target: RigidBody, hand: HandModel, physics: Physics) -> World:
         joint_qpos=np.array([model.joint(PREFIX + name).qposadr[0] for name in names]),
         posture_qpos=np.array([own.joint(name).qposadr[0] for name in names]),
         finger_of_body=_fingers(model, hand),
+        others=tuple(others),
+        other_bodies=tuple(model.body(name).id for name in other_names),
+        other_qpos=tuple(int(model.joint(name).qposadr[0]) for name in other_names),
     )
 
 
+def other_name(index: int) -> str:
+    """Of the body of what else lies on the table."""
+    return f"{OBJECT}_{index}"
+
+
 def place(
-    world: World, T_world_gripper: Float[Array, "4 4"], T_world_object: Float[Array, "4 4"], driven: Float[Array, "d"]
+    world: World,
+    T_world_gripper: Float[Array, "4 4"],
+    T_world_object: Float[Array, "4 4"],
+    driven: Float[Array, "d"],
+    T_world_others: Sequence[Float[Array, "4 4"]] = (),
 ) -> mujoco.MjData:
-    """A new state: the hand at a pose with its driven joints at given values, the object at a pose, all at rest.
+    """A new state: the hand at a pose with its driven joints at given values, all objects at their poses and at rest.
 
     The servos of the base count from this pose, along the axes of the world.
     """
@@ -182,9 +202,16 @@ def place(
     model.body_quat[world.hand_root] = quaternion_from_matrix(T_world_gripper[:3, :3])
     data = mujoco.MjData(model)
     data.qpos[world.joint_qpos] = solve_posture(world.hand, driven)[world.posture_qpos]
-    data.qpos[world.object_qpos :][:7] = np.r_[T_world_object[:3, 3], quaternion_from_matrix(T_world_object[:3, :3])]
+    free_joints = (world.object_qpos, *world.other_qpos)
+    for qpos, T in zip(free_joints, (T_world_object, *T_world_others), strict=True):
+        data.qpos[qpos:][:7] = free_joint_values(T)
     mujoco.mj_forward(model, data)
     return data
+
+
+def free_joint_values(T: Float[Array, "4 4"]) -> Float[Array, "7"]:
+    """Position and quaternion of a pose, as a free joint has them."""
+    return np.r_[T[:3, 3], quaternion_from_matrix(T[:3, :3])]
 
 
 def object_pose(world: World, data: mujoco.MjData) -> Float[Array, "4 4"]:

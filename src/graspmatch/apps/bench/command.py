@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 
+from graspmatch.apps.bench.clutter import clutter
 from graspmatch.apps.bench.experiments import Task, ablation, paper, quick
 from graspmatch.apps.bench.machine import usable_cores
 from graspmatch.apps.bench.objects import folder_sources, household_sources
 from graspmatch.apps.bench.run import Workshop
 from graspmatch.apps.bench.trials import TrialConfig
+from graspmatch.apps.bench.view import view
 from graspmatch.apps.options import Bench
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
 from graspmatch.config import LiftConfig, check, check_ranges
 from graspmatch.errors import GraspmatchError
 
-TRIALS = {"paper": 50, "ablation": 5, "quick": 3}
-"""Per object, where none are given."""
+TRIALS = {"paper": 50, "ablation": 5, "quick": 3, "view": 10, "clutter": 20}
+"""Per object, or piles, where none are given."""
 
 
 def bench(command: Bench, say: Speech) -> int:
     """Run the experiment that is asked for; the result is the exit status."""
     config, workshop = _trial_config(command), _workshop(command)
     sources = household_sources() if command.what == "quick" else folder_sources(command.objects)
-    task = Task(command.gripper, command.description, sources, config, command.config)
-    result = {"paper": paper, "ablation": ablation, "quick": quick}[command.what](task, workshop, say)
+    task = Task(command.gripper, command.description, sources, config, command.config, command.pile)
+    experiments = {"paper": paper, "ablation": ablation, "quick": quick, "view": view, "clutter": clutter}
+    result = experiments[command.what](task, workshop, say)
     if say.as_json:
         print(json.dumps(finite_or_null(result), allow_nan=False))
     return 0
@@ -40,6 +44,9 @@ def _trial_config(command: Bench) -> TrialConfig:
             ("--mass", command.mass, 1e-3, 100),
             ("--pose-error-mm", command.pose_error_mm, 0, 1000),
             ("--pose-error-deg", command.pose_error_deg, 0, 180),
+            ("--pile", command.pile, 1, 50),
+            ("--camera.elevation", command.camera.elevation, 0.05, math.pi / 2),
+            ("--camera.distance", command.camera.distance, 0.2, 3),
             ("--processes", command.processes, 1, 1024),
         ]
     )
@@ -49,6 +56,7 @@ def _trial_config(command: Bench) -> TrialConfig:
         seed=command.config.seed,
         pose_error_mm=command.pose_error_mm,
         pose_error_deg=command.pose_error_deg,
+        view=command.camera if command.what in ("view", "clutter") else None,
     )
 
 

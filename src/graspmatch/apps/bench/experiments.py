@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import mean
@@ -15,10 +15,19 @@ from graspmatch.apps.bench.paper import PAPER, TABLES
 from graspmatch.apps.bench.plots import Series, plot_against_count, plot_rates
 from graspmatch.apps.bench.run import Benchmark, Workshop, run_benchmark
 from graspmatch.apps.bench.summary import Row, summary
-from graspmatch.apps.bench.tables import Published, markdown, notes_on, record, rich_table, write_json, write_text
+from graspmatch.apps.bench.tables import (
+    Published,
+    Section,
+    markdown,
+    notes_on,
+    record,
+    rich_table,
+    write_json,
+    write_text,
+)
 from graspmatch.apps.bench.trials import Planner, PlanWith, Trial, TrialConfig
 from graspmatch.apps.speech import Speech
-from graspmatch.config import Method, PlannerConfig, PoseGaussian
+from graspmatch.config import Method, PlannerConfig, PoseGaussian, ViewConfig
 from graspmatch.geometry import se3
 from graspmatch.gripper.card import read_card
 from graspmatch.gripper.zoo import card_path
@@ -40,6 +49,8 @@ class Task:
     sources: Sequence[ObjectSource]
     config: TrialConfig
     planner: PlannerConfig
+    pile: int = 5
+    """Objects in a pile."""
 
     @property
     def hand_name(self) -> str:
@@ -67,18 +78,32 @@ def quick(task: Task, workshop: Workshop, say: Speech) -> dict[str, Any]:
     return result
 
 
-def rates(title: str, label: str, task: Task, published: Published, workshop: Workshop, say: Speech) -> dict[str, Any]:
+def rates(
+    title: str,
+    label: str,
+    task: Task,
+    published: Published,
+    workshop: Workshop,
+    say: Speech,
+    *,
+    sections: Callable[[Sequence[Trial]], Sequence[Section]] = lambda trials: (),
+    notes: Sequence[str] = (),
+) -> dict[str, Any]:
     """Run trials; show their table and write it as JSON, Markdown and a plot."""
     trials = run_benchmark(task.with_planner(label, PlanWith(task.planner)), workshop)
     rows, published = with_common_mean(summary(trials), trials, published)
     about, settings = machine(), asdict(task.config)
-    notes = notes_on(about, settings, workshop.processes, _fidelity(task.sources))
+    notes = notes_on(about, settings, workshop.processes, [*notes, *_fidelity(task.sources)])
+    parts = sections(trials)
     say.show(rich_table(title, rows, published))
+    for part in parts:
+        say.show(rich_table(part.title, part.rows, {}) if part.rows else f"{part.title}: {part.text}")
     for note in notes:
         say.show(note)
     content = {"title": title, "machine": about, "settings": settings, "rows": record(rows, published)}
+    content |= {"sections": {part.title: record(part.rows, {}) or part.text for part in parts}} if parts else {}
     write_json(workshop.output / f"{label}.json", content)
-    write_text(workshop.output / f"{label}.md", markdown(title, rows, published, notes))
+    write_text(workshop.output / f"{label}.md", markdown(title, rows, published, notes, parts))
     plot_rates(workshop.output / f"{label}.png", title, rows, published)
     say.show(f"Wrote {workshop.output / label}.json, .md, .png")
     return content
@@ -186,7 +211,15 @@ def variant_of(config: TrialConfig) -> str:
         parts.append(f"mass-{config.lift.mass:g}")
     if config.pose_error_mm or config.pose_error_deg:
         parts.append(f"error-{config.pose_error_mm:g}mm-{config.pose_error_deg:g}deg")
+    parts += [] if config.view is None else variant_of_view(config.view)
     return "".join(f"-{part}" for part in parts)
+
+
+def variant_of_view(view: ViewConfig) -> list[str]:
+    """The same of what the camera is like: the settings that are not the default."""
+    given, usual = ({**asdict(each), **asdict(each)["sensor"]} for each in (view, ViewConfig()))
+    changed = [name for name in given if name != "sensor" and given[name] != usual[name]]
+    return [f"{name.replace('_', '-')}-{float(given[name]):.3g}" for name in changed]
 
 
 def _fidelity(sources: Sequence[ObjectSource]) -> list[str]:

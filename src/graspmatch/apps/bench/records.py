@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
-from graspmatch.apps.bench.trials import Trial
 from graspmatch.errors import GraspmatchError
 
 
-def read_records(path: Path, header: dict[str, Any]) -> list[Trial]:
+@runtime_checkable
+class Keyed(Protocol):
+    """A dataclass of one trial."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Of what, and which number."""
+        ...
+
+
+Record = TypeVar("Record", bound=Keyed)
+
+
+def read_records(path: Path, header: dict[str, Any], kind: Callable[..., Record]) -> list[Record]:
     """The trials of an earlier run with the same settings; none where there is no file.
 
     Raises `GraspmatchError` where the file was made with other settings. A last line that was cut short is left out.
@@ -28,12 +42,12 @@ def read_records(path: Path, header: dict[str, Any]) -> list[Trial]:
             "Begin anew with --fresh, or write elsewhere with --output."
         )
     try:
-        return [Trial(**entry) for entry in map(_parsed, lines) if entry is not None]
+        return [kind(**entry) for entry in map(_parsed, lines) if entry is not None]
     except TypeError as error:
         raise GraspmatchError(f"{path} holds trials of another version. Begin anew with --fresh.") from error
 
 
-def recorded(trials: Iterable[Trial], path: Path, header: dict[str, Any], *, done: int) -> Iterator[Trial]:
+def recorded(trials: Iterable[Record], path: Path, header: dict[str, Any], *, done: int) -> Iterator[Record]:
     """Pass trials on and write each down; `done` earlier ones are in the file already."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if not done:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from inspect import isfunction
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from graspmatch.apps.bench.machine import machine
 from graspmatch.apps.bench.objects import ObjectSource
-from graspmatch.apps.bench.records import read_records, recorded
+from graspmatch.apps.bench.records import Record, read_records, recorded
 from graspmatch.apps.bench.trials import Job, Planner, Trial, TrialConfig, run_trials
 from graspmatch.apps.speech import Speech
+
+AnyJob = TypeVar("AnyJob")
 
 
 @dataclass(frozen=True)
@@ -43,28 +45,42 @@ class Workshop:
 
 def run_benchmark(benchmark: Benchmark, workshop: Workshop) -> list[Trial]:
     """All its trials, by object and number; those that an earlier run has written down are not run again."""
+    jobs = {
+        (source.name, trial): Job(
+            source, benchmark.gripper, benchmark.description, benchmark.planner, trial, benchmark.config
+        )
+        for source in benchmark.sources
+        for trial in range(benchmark.config.trials)
+    }
+    return resumed(jobs, Trial, run_trials, lambda job: [job.source], benchmark, workshop)
+
+
+def resumed(
+    jobs: dict[tuple[str, int], AnyJob],
+    kind: Callable[..., Record],
+    run: Callable[..., Iterator[Record]],
+    needed: Callable[[AnyJob], Sequence[ObjectSource]],
+    benchmark: Benchmark,
+    workshop: Workshop,
+) -> list[Record]:
+    """The records of all jobs in their order, `kind` of an earlier run or of `run`; `needed` are a job's objects."""
     path = workshop.output / f"{benchmark.label}.trials.jsonl"
     header = _header(benchmark)
     if workshop.fresh:
         path.unlink(missing_ok=True)
-    wanted = [(source, trial) for source in benchmark.sources for trial in range(benchmark.config.trials)]
-    known = {(trial.object, trial.trial): trial for trial in read_records(path, header)}
-    todo = [(source, trial) for source, trial in wanted if (source.name, trial) not in known]
-    jobs = [
-        Job(source, benchmark.gripper, benchmark.description, benchmark.planner, trial, benchmark.config)
-        for source, trial in todo
-    ]
+    known = {record.key: record for record in read_records(path, header, kind)}
+    todo = [job for key, job in jobs.items() if key not in known]
     say = Speech(quiet=workshop.quiet)
-    new = list(dict.fromkeys(source for source, _ in todo))
-    with say.progress(f"{benchmark.label}: preparing objects", total=len(new)) as done:
-        for source in new:
+    sources = list(dict.fromkeys(source for job in todo for source in needed(job)))
+    with say.progress(f"{benchmark.label}: preparing objects", total=len(sources)) as done:
+        for source in sources:
             source.load()  # once, here: the processes find its convex parts in the cache
             done()
-    with say.progress(f"{benchmark.label}: trials", total=len(jobs)) as done:
-        for trial in recorded(run_trials(jobs, processes=workshop.processes), path, header, done=len(known)):
-            known[trial.object, trial.trial] = trial
+    with say.progress(f"{benchmark.label}: trials", total=len(todo)) as done:
+        for record in recorded(run(todo, processes=workshop.processes), path, header, done=len(known)):
+            known[record.key] = record
             done()
-    return [known[source.name, trial] for source, trial in wanted]
+    return [known[key] for key in jobs]
 
 
 def _header(benchmark: Benchmark) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import mean, median
 
 from graspmatch.apps.bench.trials import Trial
@@ -39,9 +40,9 @@ def summary(trials: Iterable[Trial]) -> list[Row]:
     by_object: dict[str, list[Trial]] = {}
     for trial in trials:
         by_object.setdefault(trial.object, []).append(trial)
-    rows = [_row(name, by_object[name]) for name in sorted(by_object)]
+    rows = [row_of(name, by_object[name]) for name in sorted(by_object)]
     counted = [row for row in rows if row.trials]
-    every = _row("mean", [trial for name in by_object for trial in by_object[name]])
+    every = row_of("mean", [trial for name in by_object for trial in by_object[name]])
     rate = mean(row.rate for row in counted) if counted else float("nan")
     return [*rows, Row(**{**vars(every), "rate": rate})]
 
@@ -56,7 +57,14 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
-def _row(name: str, trials: Sequence[Trial]) -> Row:
+def band(value: float, borders: Sequence[float]) -> str:
+    """Between which borders a share lies, in percent; those of text sort as they do."""
+    low, high = next(pair for pair in pairwise(borders) if value < pair[1] or pair[1] == borders[-1])
+    return f"{100 * low:02.0f} to {100 * high:.0f} %"
+
+
+def row_of(name: str, trials: Sequence[Trial]) -> Row:
+    """What some trials come to."""
     counted = [trial for trial in trials if trial.counts]
     held = sum(trial.held for trial in counted)
     low, high = wilson(held, len(counted))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,15 @@ from graspmatch.formats.files import write_atomically
 
 Published = dict[str, tuple[float, float]]
 """Rate and seconds per plan by object, as a publication prints them."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """The same trials, split in another way."""
+
+    title: str
+    rows: Sequence[Row]
+    text: str = ""
 
 
 def cells(row: Row, published: Published) -> list[str]:
@@ -55,11 +64,21 @@ def rich_table(title: str, rows: Sequence[Row], published: Published) -> Table:
     return table
 
 
-def markdown(title: str, rows: Sequence[Row], published: Published, notes: Sequence[str]) -> str:
-    """The same as Markdown, with notes below it."""
+def markdown(
+    title: str, rows: Sequence[Row], published: Published, notes: Sequence[str], sections: Sequence[Section] = ()
+) -> str:
+    """The same as Markdown, with notes below it, and then the same trials split in other ways."""
+    lines = [f"# {title}", "", *_markdown_table(rows, published), "", *(f"- {note}" for note in notes), ""]
+    for section in sections:
+        lines += [f"## {section.title}", ""]
+        lines += [*_markdown_table(section.rows, published), ""] if section.rows else []
+        lines += [section.text, ""] if section.text else []
+    return "\n".join(lines)
+
+
+def _markdown_table(rows: Sequence[Row], published: Published) -> list[str]:
     head = ["| " + " | ".join(HEADINGS) + " |", "| --- |" + " ---: |" * (len(HEADINGS) - 2) + " --- |"]
-    body = ["| " + " | ".join(cells(row, published)) + " |" for row in rows]
-    return "\n".join([f"# {title}", "", *head, *body, "", *(f"- {note}" for note in notes), ""])
+    return head + ["| " + " | ".join(cells(row, published)) + " |" for row in rows]
 
 
 def notes_on(about: dict[str, str], settings: dict[str, Any], processes: int, extra: Sequence[str] = ()) -> list[str]:

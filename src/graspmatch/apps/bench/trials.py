@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import os
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from multiprocessing import get_context
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.apps.bench.machine import usable_cores
+from graspmatch.apps.bench.glimpse import glimpse_of, scene_of
 from graspmatch.apps.bench.objects import ObjectSource
-from graspmatch.config import LiftConfig, PlannerConfig
+from graspmatch.apps.bench.processes import in_processes
+from graspmatch.config import LiftConfig, PlannerConfig, ViewConfig
 from graspmatch.errors import GraspmatchError
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import narrowest_width
 from graspmatch.geometry.mesh import transformed
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspSet, Gripper
+
+if TYPE_CHECKING:
+    from graspmatch.simulate.rigid_body import RigidBody
 
 Array = np.ndarray
 Planner = Callable[[Scene, Gripper, int], GraspSet]
@@ -48,6 +50,8 @@ class TrialConfig:
     """Standard deviation of the hand's position along each axis."""
     pose_error_deg: float = 0.0
     """Of its rotation about each axis."""
+    view: ViewConfig | None = None
+    """The planner gets one depth image; none: it gets the mesh."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,17 @@ class Trial:
     """[m]"""
     turn: float
     """[rad]"""
+    azimuth: float | None = None
+    """Of the camera in the frame of the mesh, counter-clockwise from x [rad]; none: there was no camera."""
+    seen: float | None = None
+    """Share of the object's surface that the camera saw."""
+    centre_error: float | None = None
+    """How far the scene's centre of mass is from the true one [m]; none: there was no scene."""
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Object and number."""
+        return self.object, self.trial
 
     @property
     def counts(self) -> bool:
@@ -103,55 +118,44 @@ class PlanWith:
 
 def run_trials(jobs: Iterable[Job], *, processes: int) -> Iterator[Trial]:
     """The trials as they end, in any order; their results depend on the jobs alone."""
-    if processes == 1:
-        yield from map(run_trial, jobs)
-        return
-    # Fresh interpreters with one thread each: the cores are shared out among processes.
-    context = get_context("spawn")
-    threads = str(max(1, usable_cores() // processes))
-    with ProcessPoolExecutor(processes, context, initializer=use_threads, initargs=(threads,)) as pool:
-        futures = [pool.submit(run_trial, job) for job in jobs]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            for future in futures:
-                future.cancel()
+    return in_processes(run_trial, jobs, processes=processes)
 
 
 def run_trial(job: Job) -> Trial:
-    """Settle, place, plan, lift."""
-    from graspmatch.planner.advice import is_too_wide
+    """Settle, place, look, plan, lift."""
     from graspmatch.simulate.judge import try_grasp
 
     settled, world, gripper = stage(job.source, job.gripper, job.description, job.config.lift)
     name = job.source.name
+    trial = Trial(name, job.trial, False, TOPPLES, 0.0, 0.0, 0, "", None, 0.0, 0.0)
     if settled.topples:
-        return Trial(name, job.trial, False, TOPPLES, 0.0, 0.0, 0, "", None, 0.0, 0.0)
+        return trial
     rng = np.random.default_rng([job.config.seed, zlib.crc32(name.encode()), job.trial])
     T_world_object = random_place(rng) @ settled.T_world_object
     planner_seed = int(rng.integers(2**31))
     error = _pose_error(rng, job.config)
-    scene = Scene.from_mesh(transformed(settled.target.mesh, T_world_object), table=0.0)
+    mesh = transformed(settled.target.mesh, T_world_object)
+    glimpse = None if job.config.view is None else glimpse_of([mesh], T_world_object, job.config.view, rng)
+    if glimpse is not None:
+        trial = replace(trial, azimuth=glimpse.azimuth, seen=glimpse.seen)
     begin = time.perf_counter()
     try:
+        scene = Scene.from_mesh(mesh, table=0.0) if glimpse is None else scene_of(glimpse)
+        trial = replace(trial, centre_error=_centre_error(scene, settled.target, T_world_object))
         grasps, reason = job.planner(scene, gripper, planner_seed), NO_GRASP
     except GraspmatchError as refusal:  # one object that a planner refuses does not end the benchmark
         grasps, reason = None, f"refused: {refusal}"
-    planned = time.perf_counter() - begin
+    trial = replace(trial, plan_seconds=time.perf_counter() - begin)
     if not grasps:
-        if reason == NO_GRASP and is_too_wide(narrowest_width(settled.target.mesh.vertices), gripper):
-            reason = DOES_NOT_FIT
-        return Trial(name, job.trial, False, reason, planned, 0.0, 0, "", None, 0.0, 0.0)
+        return replace(trial, reason=_why_none(reason, settled.target, gripper))
+    begin = time.perf_counter()
     verdict = try_grasp(world, _displaced(grasps, error), 0, T_world_object, job.config.lift)
     preshape = int(grasps.preshape[0])
-    return Trial(
-        object=name,
-        trial=job.trial,
+    return replace(
+        trial,
         held=verdict.held,
         reason=verdict.reason,
-        plan_seconds=planned,
-        simulation_seconds=time.perf_counter() - begin - planned,
+        simulation_seconds=time.perf_counter() - begin,
         grasps=len(grasps),
         preshape=grasps.preshape_names[preshape] if preshape >= 0 else "",
         score=float(grasps.score[0]) if np.isfinite(grasps.score[0]) else None,
@@ -160,9 +164,18 @@ def run_trial(job: Job) -> Trial:
     )
 
 
-def use_threads(threads: str) -> None:
-    """Of a process, for kernels."""
-    os.environ.setdefault("GRASPMATCH_THREADS", threads)
+def _why_none(reason: str, target: RigidBody, gripper: Gripper) -> str:
+    """The reason why there is no grasp, or that no hand of this width could have one."""
+    from graspmatch.planner.advice import is_too_wide
+
+    too_wide = reason == NO_GRASP and is_too_wide(narrowest_width(target.mesh.vertices), gripper)
+    return DOES_NOT_FIT if too_wide else reason
+
+
+def _centre_error(scene: Scene, target: RigidBody, T_world_object: Float[Array, "4 4"]) -> float:
+    """[m]"""
+    true = se3.apply(T_world_object, target.centre_of_mass[None])[0]
+    return float(np.linalg.norm(scene.centre_of_mass - true))
 
 
 @lru_cache(maxsize=8)

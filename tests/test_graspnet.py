@@ -93,7 +93,9 @@ def test_a_row_that_is_read_puts_the_hands_fingertips_there(toy, tmp_path):
     np.testing.assert_allclose(grasps.T_world_pregrasp[0, :3, 3], [0.1, 0.2, 0.53 - 0.06 - 0.15], atol=1e-6)
 
 
-@pytest.mark.parametrize(("width", "expected"), [(0.0, 5), (0.0239, 2), (0.024, 2), (0.029, 4), (0.035, 1), (0.055, 0), (0.09, 0)])
+@pytest.mark.parametrize(
+    ("width", "expected"), [(0.0, 5), (0.0239, 2), (0.024, 2), (0.029, 4), (0.035, 1), (0.055, 0), (0.09, 0)]
+)
 def test_the_narrowest_preshape_that_is_wide_enough_is_chosen(toy, tmp_path, width, expected):
     np.save(tmp_path / "grasps.npy", np.array([[ROW[0], width, *ROW[2:]]], dtype=np.float32))
     grasps = read_grasps(tmp_path / "grasps.npy", toy)

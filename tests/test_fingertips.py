@@ -13,7 +13,7 @@ from graspmatch.gripper.bake import ending_between_nodes
 from graspmatch.gripper.card import read_card
 from graspmatch.gripper.fingertips import TIP, balanced_shares
 from graspmatch.gripper.load import load_gripper
-from graspmatch.planner.pinch import gap_of, graded_as, opposite_points, pinch_seeds
+from graspmatch.planner.pinch import gap_of, opposite_points, pinch_seeds
 from graspmatch.planner.plan import plan
 from graspmatch.scene.scene import Scene
 from graspmatch.scene.shapes import convex, joined
@@ -125,11 +125,6 @@ def test_fingertips_start_around_opposite_points_from_above_and_the_robots_side(
     assert np.all(np.abs(closing[:, 1]) > 0.8)
     approach = starts.T_world_gripper[:, :3, :3] @ toy.approach
     assert np.mean((approach[:, 2] < 0) & (approach[:, 0] > 0)) > 0.95  # where one of the turns that are drawn does
-
-
-def test_fingertips_are_graded_by_the_loss_of_the_whole_hand_most_like_them(toy):
-    names = [toy.preshapes[i].name for i in graded_as(toy)]
-    assert names == ["close_0", "close_30", "close_60", "close_0", "close_60", "close_60"]
 
 
 def test_thin_part_away_from_the_middle_is_held_by_the_fingertips(toy):

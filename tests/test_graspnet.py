@@ -25,7 +25,7 @@ ROW = [0.9, 0.05, 0.02, 0.03, 0, 1, 0, 0, 0, 1, 1, 0, 0, 0.1, 0.2, 0.5, -1]
 
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory) -> Gripper:
-    """Pads at y = +-0.03, +-0.021, +-0.012, fingertips at z = 0.06."""
+    """Pads at y = +-0.03, +-0.021, +-0.012 and, of fingertip preshapes, +-0.03, +-0.015, +-0.0075; tips at z = 0.06."""
     folder = tmp_path_factory.mktemp("toy")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
@@ -93,7 +93,9 @@ def test_a_row_that_is_read_puts_the_hands_fingertips_there(toy, tmp_path):
     np.testing.assert_allclose(grasps.T_world_pregrasp[0, :3, 3], [0.1, 0.2, 0.53 - 0.06 - 0.15], atol=1e-6)
 
 
-@pytest.mark.parametrize(("width", "expected"), [(0.0, 2), (0.0239, 2), (0.024, 2), (0.03, 1), (0.055, 0), (0.09, 0)])
+@pytest.mark.parametrize(
+    ("width", "expected"), [(0.0, 5), (0.0239, 2), (0.024, 2), (0.029, 4), (0.035, 1), (0.055, 0), (0.09, 0)]
+)
 def test_the_narrowest_preshape_that_is_wide_enough_is_chosen(toy, tmp_path, width, expected):
     np.save(tmp_path / "grasps.npy", np.array([[ROW[0], width, *ROW[2:]]], dtype=np.float32))
     grasps = read_grasps(tmp_path / "grasps.npy", toy)
@@ -109,8 +111,8 @@ def test_poses_and_preshapes_of_two_finger_hands_come_back(toy, tmp_path, name):
     back = read_grasps(tmp_path / "grasps.npy", hand)
     np.testing.assert_allclose(back.T_world_gripper, grasps.T_world_gripper, atol=1e-6)
     np.testing.assert_allclose(back.T_world_pregrasp, grasps.T_world_pregrasp, atol=1e-6)
-    np.testing.assert_array_equal(back.preshape, grasps.preshape)
-    np.testing.assert_array_equal(back.pregrasp_joints, grasps.pregrasp_joints)
+    # Fingertip preshapes may have the posture of another: what comes back is one that is as wide.
+    np.testing.assert_allclose(back.pregrasp_joints, grasps.pregrasp_joints, atol=1e-6)
     np.testing.assert_array_equal(back.score, grasps.score)
     assert back.joint_names == hand.joint_names
 
@@ -119,7 +121,7 @@ def test_poses_and_preshapes_of_two_finger_hands_come_back(toy, tmp_path, name):
 def test_the_jaw_of_an_open_hand_is_as_wide_as_its_maker_says(name, opening):
     hand = load_gripper(name)
     assert jaw(hand.preshapes[0], hand).opening == pytest.approx(opening, abs=5e-4)
-    openings = [jaw(preshape, hand).opening for preshape in hand.preshapes]
+    openings = [jaw(preshape, hand).opening for preshape in hand.preshapes if not preshape.is_fingertips]
     assert openings == sorted(openings, reverse=True)
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from graspmatch.config import SeedingConfig
 from graspmatch.geometry import se3
 from graspmatch.planner.candidates import Candidates
-from graspmatch.planner.seed import asked_for, upright_frame
+from graspmatch.planner.seed import upright_frame
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Preshape
 
@@ -61,16 +61,6 @@ def pinch_seeds(scene: Scene, gripper: Gripper, config: SeedingConfig, rng: np.r
     tcp_gripper = np.array([gripper.preshapes[i].tool_centre_point for i in preshape]).reshape(-1, 3)
     origin = pairs.middle[order] - np.einsum("nij,nj->ni", R_world_gripper, tcp_gripper)
     return Candidates(preshape, se3.from_parts(R_world_gripper, origin))
-
-
-def graded_as(gripper: Gripper) -> Int[Array, "p"]:
-    """For each preshape the one whose loss its grasps are graded by: itself, or for fingertips that most like it which
-    the card asks for. The confidence is fitted to losses of whole hands."""
-    asked = asked_for(gripper)
-    closes = np.isin(np.arange(len(gripper.joint_names)), [j for finger in gripper.fingers for j in finger.joints])
-    joints = np.array([preshape.joints for preshape in gripper.preshapes]) * np.where(closes, 1.0, 1e3)  # spread first
-    nearest = asked[np.argmin(np.linalg.norm(joints[:, None] - joints[asked], axis=-1), axis=1)]
-    return np.where([preshape.is_fingertips for preshape in gripper.preshapes], nearest, np.arange(len(joints)))
 
 
 def gap_of(preshape: Preshape, gripper: Gripper) -> float:

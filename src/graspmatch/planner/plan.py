@@ -18,7 +18,7 @@ from graspmatch.planner.close import close_fingers
 from graspmatch.planner.grade import foremost, stopped
 from graspmatch.planner.match import match, prepare, terms_of
 from graspmatch.planner.path import Reach, aimed, keep_executable
-from graspmatch.planner.pinch import graded_as, pinch_seeds
+from graspmatch.planner.pinch import pinch_seeds
 from graspmatch.planner.rank import rank
 from graspmatch.planner.recording import Recording
 from graspmatch.planner.refine import Judge, joined, judge_of, refine
@@ -101,7 +101,6 @@ def candidates_from(
     matched = match(starts, problem, config.matching, rng, tally.recording)  # Algorithm 1 of the paper
     watch.lap("match")
     free = keep_free(matched, space, config.collision, tally)  # hand and approach sweep
-    free = replace(free, matched_preshape=graded_as(space.gripper)[free.matched_preshape])
     watch.lap("avoid")
     closed = close_fingers(free, space, config.closing, tally)  # contacts and joint values
     closed = keep_executable(closed, judge.way, tally)  # directions, workspace, way out, reach

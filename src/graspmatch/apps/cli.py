@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parse(argv: Sequence[str]) -> Parsed:
     """The command of a command line."""
-    words = [_long_form(word) for word in argv]
+    words = _with_listing([_long_form(word) for word in argv])
     options = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes, tyro.conf.DisallowNone)
     return tyro.cli(Command, prog="graspmatch", description=DESCRIPTION, args=words, config=options)
 
@@ -106,6 +106,13 @@ def parse_table(text: str) -> float | Literal["auto"] | None:
     if not abs(height) < float("inf"):
         raise GraspmatchError(f"The table's height is '{text}'; it must be a finite number.")
     return height
+
+
+def _with_listing(words: list[str]) -> list[str]:
+    """`grippers` alone, or with options only, lists them."""
+    is_bare = words[:1] == ["grippers"] and all(word.startswith("-") for word in words[1:])
+    asks_help = "-h" in words or "--help" in words
+    return ["grippers", "list", *words[1:]] if is_bare and not asks_help else words
 
 
 def _long_form(word: str) -> str:

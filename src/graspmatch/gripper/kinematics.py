@@ -197,7 +197,7 @@ def _linkage(hand: HandModel) -> _Linkage:
     pairs = [(model.joint(follower).id, model.joint(c.joint).id) for follower, c in card.couplings.items()]
     followed = np.array(pairs, dtype=int).reshape(-1, 2)
     by_joint = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
-    dictated = {*followed[:, 0], *model.eq_obj1id[by_joint], *model.eq_obj2id[by_joint]}
+    dictated = {*followed[:, 0], *model.eq_obj1id[by_joint], *model.eq_obj2id[by_joint], *_tied_by_tendons(model)}
     bounded = np.array([bool(model.jnt_limited[j]) and j not in dictated for j in free], dtype=bool)
     stiffness = model.jnt_stiffness[free]
     home = np.clip(model.qpos0[model.jnt_qposadr[driven]], hand.lower, hand.upper)
@@ -217,6 +217,14 @@ def _linkage(hand: HandModel) -> _Linkage:
         coupling_law=np.array([(c.multiplier, c.offset) for c in card.couplings.values()]).reshape(-1, 2),
         is_closed=not bool(np.all(by_joint)),
     )
+
+
+def _tied_by_tendons(model: mujoco.MjModel) -> set[int]:
+    """Joints on a tendon whose length an equality gives."""
+    by_tendon = model.eq_type == mujoco.mjtEq.mjEQ_TENDON
+    tendons = {int(t) for t in (*model.eq_obj1id[by_tendon], *model.eq_obj2id[by_tendon]) if t >= 0}
+    wraps = [w for t in tendons for w in range(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])]
+    return {int(model.wrap_objid[w]) for w in wraps if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT}
 
 
 @lru_cache(maxsize=8192)

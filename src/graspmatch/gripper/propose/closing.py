@@ -155,17 +155,20 @@ def close_until_met(
     count = len(mechanism.branches)
     active = np.isin(np.arange(count), range(count) if fingers is None else fingers)
     links = [mechanism.links_of(branch.bodies) for branch in mechanism.branches]
+    outer = [mechanism.outer_links(branch) for branch in mechanism.branches]
     drives = [set(np.flatnonzero(row)) for row in roles.closers]
     share = np.zeros(count)
     moving = active & np.array([bool(drive) for drive in drives])
     while moving.any() and share[moving].min() < 1:
         share[moving] = np.minimum(share[moving] + 1 / CLOSING_STEPS, 1.0)
         T = mechanism.pose(at_share(roles, start, end, share))
+        ends = [mechanism.holding_points(f, T) for f in range(count)]  # further in, fingers may pass through each other
         for f in np.flatnonzero(moving):
-            for g in range(count):
-                if g != f and touching.clearance(links[f], links[g], T) < MEETING:
+            for g in (g for g in range(count) if g != f):
+                apart = min(touching.clearance_of(ends[f], links[g], T), touching.clearance_of(ends[g], links[f], T))
+                if apart < MEETING:
                     moving[[f, g]] = False
-            if touching.clearance(links[f], mechanism.palm_links, T) < MEETING:
+            if touching.clearance(outer[f], mechanism.palm_links, T) < MEETING:
                 moving[f] = False
         for f in range(count):  # one drive stops all its fingers
             if not moving[f] and active[f]:

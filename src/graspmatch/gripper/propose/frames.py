@@ -25,8 +25,6 @@ SHARPNESS = 4
 """With which directions near a normal count."""
 INNERMOST = 0.002
 """Depth of the layer of a finger that meets the other side first [m]."""
-NEAR_TIP = 0.4
-"""Share of a finger's length from its tip on in which it holds things."""
 CENTRED = 0.04
 """Of the opening: a tool centre point that is so near to an axis of the frame is on it."""
 WAY_BACK = 20
@@ -173,7 +171,7 @@ def _gap(
     inner = [[], []]
     reach = []
     for side, towards in ((0, sign), (1, -sign)):
-        points = [_holding_points(mechanism, f, T) for f in sides[side]]
+        points = [mechanism.holding_points(f, T) for f in sides[side]]
         depth = [towards * p @ closing for p in points]
         inner[side] = [p[d > d.max() - INNERMOST].mean(axis=0) for p, d in zip(points, depth, strict=True)]
         reach.append(max(d.max() for d in depth))
@@ -207,14 +205,6 @@ def _gap_to_palm(
     if not np.isfinite(reach[side]):
         return 0.0, tip.mean(axis=0)
     return float(reach[side]), starts[side] + reach[side] / 2 * ways[side]
-
-
-def _holding_points(mechanism: Mechanism, finger: int, T_base_link: Float[Array, "l 4 4"]) -> Float[Array, "n 3"]:
-    """Surface points of a finger in the part that holds things."""
-    points = mechanism.points(mechanism.links_of(mechanism.branches[finger].bodies), T_base_link)
-    tip = mechanism.tip_positions(T_base_link)[finger]
-    away = np.linalg.norm(points - tip, axis=-1)
-    return points[away <= NEAR_TIP * away.max()]
 
 
 def _on_axes(point: Float[Array, "3"], approach: Float[Array, "3"], slack: float) -> Float[Array, "3"]:

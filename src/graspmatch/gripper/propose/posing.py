@@ -23,6 +23,8 @@ Array = np.ndarray
 
 UNLIMITED = np.pi / 2
 """What a hinge without limits, or with limits beyond it, is moved both ways from its zero [rad]."""
+NEAR_TIP = 0.4
+"""Share of a finger's length from its tip on in which it holds things."""
 TIP_SHARE = 0.15
 """Share of the last link's length that counts as the tip."""
 
@@ -69,6 +71,11 @@ class Mechanism:
     def links_of(self, bodies: tuple[int, ...]) -> list[int]:
         """Indices of the links with geometry among some bodies."""
         return [i for i, body in enumerate(self.description.link_bodies) if body in bodies]
+
+    def outer_links(self, branch: Branch) -> list[int]:
+        """The links of a finger that do not hang on the palm directly: those that do may slide or turn inside of it."""
+        model, bodies = self.description.model, self.description.link_bodies
+        return [i for i in self.links_of(branch.bodies) if _joints_before(model, bodies[i], branch) > 1]
 
     def pose(self, driven: Float[Array, "d"]) -> Float[Array, "l 4 4"]:
         """T_base_link of every link with geometry."""
@@ -149,6 +156,12 @@ class Mechanism:
     def tip_points(self, T_base_link: Float[Array, "l 4 4"]) -> list[Float[Array, "_ 3"]]:
         """Surface points of each fingertip [m]."""
         return [apply(T_base_link[link], points) for link, points in self.tips]
+
+    def holding_points(self, finger: int, T_base_link: Float[Array, "l 4 4"]) -> Float[Array, "n 3"]:
+        """Surface points of a finger in the part that holds things [m]."""
+        points = self.points(self.links_of(self.branches[finger].bodies), T_base_link)
+        away = np.linalg.norm(points - self.tip_positions(T_base_link)[finger], axis=-1)
+        return points[away <= NEAR_TIP * away.max()]
 
     def _tip(self, branch: Branch) -> tuple[int, Float[Array, "n 3"]]:
         """The far end of the link that reaches farthest from the palm along its finger."""

@@ -91,7 +91,7 @@ def hand_postures(
     ]
     is_open = np.array(gaps) > NARROW * max(gaps)
     useful = (np.array(deep) > RISEN * max(deep)) & is_open
-    chosen = shares[useful] if useful.any() else shares[is_open]
+    chosen = next(shares[which] for which in (useful, is_open, shares < 1) if which.any())
     first, last = float(chosen[0]), float(min(chosen[-1], JAW_END))
     steps = HAND_STEPS if len(spreads) == 1 else SPREAD_STEPS
     changed = [j for j in range(len(opened)) if any(s[j] != opened[j] for s in spreads)]

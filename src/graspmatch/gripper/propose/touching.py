@@ -37,6 +37,11 @@ class Touching:
         free = [pair for pair in pairs if pair not in self.joined]
         return min((self._distance(a, b, T_base_link[a], T_base_link[b]) for a, b in free), default=np.inf)
 
+    def clearance_of(self, points: Float[Array, "n 3"], links: list[int], T_base_link: Float[Array, "l 4 4"]) -> float:
+        """Smallest distance of points of the base's frame to some links [m]."""
+        fields = ((self.fields[i], inverse(T_base_link[i])) for i in links)
+        return min((float(interpolate(field, apply(T, points)).min()) for field, T in fields), default=np.inf)
+
     def _distance(self, a: int, b: int, T_base_a: Float[Array, "4 4"], T_base_b: Float[Array, "4 4"]) -> float:
         apart = float(np.linalg.norm(T_base_a[:3, 3] - T_base_b[:3, 3])) - self.radius[a] - self.radius[b]
         if apart > 0.01:

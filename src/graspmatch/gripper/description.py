@@ -98,6 +98,7 @@ def load_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[Path, ...]]:
     if root.tag not in ("robot", "mujoco"):
         raise GraspmatchError(f"{path} begins with <{root.tag}>; a URDF begins with <robot>, an MJCF with <mujoco>.")
     files, assets = [path], {}
+    keep_no_log()
     try:
         spec = _urdf_spec(root, path, files, assets) if root.tag == "robot" else _mjcf_spec(path, files, assets)
     except ValueError as error:
@@ -113,6 +114,13 @@ def load_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[Path, ...]]:
     for i, joint in enumerate(spec.joints):
         joint.name = joint.name or f"joint_{i}"
     return spec, tuple(files)
+
+
+def keep_no_log() -> None:
+    """MuJoCo writes its warnings into a file in the user's folder, where they help nobody."""
+    log = mujoco.MjLogConfig.get()
+    log.logto_file = False
+    log.set()
 
 
 def content_hash(card: Card, description: Description) -> str:

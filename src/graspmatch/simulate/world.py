@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from graspmatch.errors import GraspmatchError
 from graspmatch.geometry.se3 import from_parts, quaternion_from_matrix
+from graspmatch.gripper.description import keep_no_log
 from graspmatch.gripper.kinematics import HandModel, solve_posture
 from graspmatch.simulate.hand import BASE, BASE_AXES, HAND_BIT, OBJECT_BIT, SYNERGY, TABLE_BIT, add_hand
 from graspmatch.simulate.rigid_body import RigidBody
@@ -125,9 +126,7 @@ def add_object(spec: mujoco.MjSpec, target: RigidBody, name: str = OBJECT) -> No
 
 def compile_spec(spec: mujoco.MjSpec, physics: Physics) -> mujoco.MjModel:
     """The model, with one kind of contact everywhere."""
-    log = mujoco.MjLogConfig.get()
-    log.logto_file = False  # warnings are counted in the state; a file in the user's folder helps nobody
-    log.set()
+    keep_no_log()  # warnings are counted in the state
     for geom in spec.geoms:
         geom.friction = (physics.friction, physics.torsional_friction, 0.0001)
         geom.condim, geom.solref, geom.solimp, geom.margin = 4, CONTACT_SOLREF, CONTACT_SOLIMP, 0.0

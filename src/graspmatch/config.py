@@ -157,12 +157,17 @@ class GripConfig:
     """... and the surest of them ..."""
     trials: int = 18
     """... so many times in all."""
-    ways_in: int = 24
-    """So many times the way in is looked at, the hand displaced likewise: what meets something there fails at once."""
-    position_error: float = 0.003
+    position_error: float = 0.002
     """Standard deviation of the displacements along each axis [m] ..."""
-    angle_error: float = math.radians(3.0)
+    angle_error: float = math.radians(2.0)
     """... and about each axis [rad], through the hand's base."""
+    ways_in: int = 24
+    """So many times the way in is looked at, the hand displaced more than that: closing fingers centre an object, but
+    what meets it on the way fails at once."""
+    way_position_error: float = 0.003
+    """[m]"""
+    way_angle_error: float = math.radians(3.0)
+    """[rad]"""
     points: int = 2000
     """Of the object, at most so many ..."""
     reachable_points: int = 400
@@ -407,6 +412,8 @@ def check(config: PlannerConfig) -> None:
         ("grip.position_error", config.grip.position_error, 0, 0.1),
         ("grip.angle_error", config.grip.angle_error, 0, 1),
         ("grip.ways_in", config.grip.ways_in, 1, 1e4),
+        ("grip.way_position_error", config.grip.way_position_error, 0, 0.1),
+        ("grip.way_angle_error", config.grip.way_angle_error, 0, 1),
         ("grip.points", config.grip.points, 1, 1e6),
         ("grip.reachable_points", config.grip.reachable_points, 1, 1e6),
         ("grip.step", config.grip.step, 1e-5, 0.05),

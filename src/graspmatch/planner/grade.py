@@ -54,7 +54,7 @@ def draw_trials(config: GripConfig, seed: int) -> Trials:
     frictions in turn."""
     rng = np.random.default_rng(seed)
     error = draw_errors(config.trials, config.position_error, config.angle_error, rng)
-    way_in = draw_errors(config.ways_in, config.position_error, config.angle_error, rng)
+    way_in = draw_errors(config.ways_in, config.way_position_error, config.way_angle_error, rng)
     return Trials(way_in, error, np.resize(np.array(config.frictions), config.trials))
 
 

@@ -58,7 +58,7 @@ def plan(
     watch.lap("prepare")
     graded = None
     for batch in range(config.seeding.batches if starts_world_gripper is None else 1):
-        tips = pinch_seeds(scene, gripper, config.seeding, rng) if batch % 2 else []
+        tips = pinch_seeds(scene, gripper, config.seeding, rng) if batch % 2 else None
         if starts_world_gripper is not None:
             starts = pose_seeds(starts_world_gripper, gripper)
         else:

@@ -112,6 +112,12 @@ def test_what_is_too_wide_everywhere_has_no_opposite_points(toy):
     assert len(pinch_seeds(scene, toy, SeedingConfig(), np.random.default_rng(0))) == 0
 
 
+def test_fingertips_start_nowhere_where_the_user_says_where_hands_start(toy):
+    scene = boxes(((0.1, 0.02, 0.08), (0.2, 0.1, 0.04)))
+    for config in (SeedingConfig(pattern="gaussians"), SeedingConfig(fingertips=0)):
+        assert len(pinch_seeds(scene, toy, config, np.random.default_rng(0))) == 0
+
+
 def test_fingertips_start_around_opposite_points_from_above_and_the_robots_side(toy):
     scene = boxes(((0.1, 0.02, 0.08), (0.2, 0.1, 0.04)))
     starts = pinch_seeds(scene, toy, SeedingConfig(), np.random.default_rng(0))

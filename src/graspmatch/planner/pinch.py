@@ -47,11 +47,13 @@ class Pairs:
 
 
 def pinch_seeds(scene: Scene, gripper: Gripper, config: SeedingConfig, rng: np.random.Generator) -> Candidates:
-    """Fingertip preshapes at opposite points that fit between them; none where there are no such points."""
+    """Fingertip preshapes at opposite points that fit between them; none where there are no such points, and where
+    Gaussians say where hands start."""
     R_world_up = upright_frame(scene, np.array(config.robot_direction))
     tips = np.flatnonzero([preshape.is_fingertips for preshape in gripper.preshapes])
     gap = np.array([gap_of(gripper.preshapes[i], gripper) for i in tips])
-    pairs = opposite_points(scene, config.fingertips, float(gap.max(initial=0.0)), rng)
+    count = config.fingertips if config.pattern != "gaussians" else 0
+    pairs = opposite_points(scene, count, float(gap.max(initial=0.0)), rng)
     fits = gap > pairs.width[:, None]
     chosen = np.argmax(rng.random(fits.shape) * fits, axis=1) if len(pairs) else np.zeros(0, dtype=int)
     order = np.argsort(tips[chosen], kind="stable")

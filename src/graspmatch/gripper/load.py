@@ -17,7 +17,7 @@ from graspmatch.gripper.description import content_hash
 from graspmatch.gripper.fingertips import postures
 from graspmatch.gripper.kinematics import HandModel, load_hand
 from graspmatch.gripper.zoo import card_path
-from graspmatch.types import Finger, Gripper
+from graspmatch.types import Finger, Gripper, Preshape
 
 BAKING_VERSION = 5
 """Raised whenever baking gives another result for the same input."""
@@ -52,7 +52,10 @@ def bake_gripper(hand: HandModel, content: str, baking: BakingConfig) -> Gripper
     )
     open_joints, closed_joints = (np.array(values, dtype=float) for values in (card.open_joints, card.closed_joints))
     links = bake_links(hand.links, baking)
-    preshapes = [bake_preshape(hand, links, fingers, posture, baking) for posture in postures(hand, links.fields)]
+    preshapes: list[Preshape] = []
+    for posture in postures(hand, links.fields):
+        preshape = bake_preshape(hand, links, fingers, posture, baking, others=preshapes)
+        preshapes += [] if preshape is None else [preshape]
     return Gripper(
         name=card.name,
         description=hand.description.path,
@@ -70,7 +73,7 @@ def bake_gripper(hand: HandModel, content: str, baking: BakingConfig) -> Gripper
         finger_force=card.finger_force,
         opening=card.opening,
         approach_distance=baking.approach_distance,
-        preshapes=tuple(preshape for preshape in preshapes if preshape is not None),
+        preshapes=tuple(preshapes),
         content_hash=content,
     )
 

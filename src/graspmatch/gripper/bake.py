@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import warp as wp
@@ -73,33 +73,22 @@ def bake_preshape(
     fingers: tuple[Finger, ...],
     posture: Posture,
     config: BakingConfig,
+    *,
+    others: Sequence[Preshape] = (),
 ) -> Preshape | None:
     """All fields and samples of a posture; none of fingertips that cannot be seen from between the fingers."""
     card = hand.card
     T_gripper_link = closing_motion(hand, baked, posture.joints, posture.closed, config)
     steps = len(T_gripper_link)
     try:
-        samples, weights = _weighted_samples(hand, baked, posture, T_gripper_link[0])
+        samples, weights = _weighted_samples(hand, baked, posture, pose_links(hand, posture.joints))
     except GraspmatchError:
         if posture.finger_shares is None:
             raise
         return None  # tips that nearly touch can hide each other: nobody asked for this posture by name
-    outline = _posed_corners(baked.hulls, T_gripper_link[0], range(len(baked.links)))
-    moving = [_link_indices(baked.links, finger.links) for finger in fingers]
-    outlines = tuple(
-        np.stack([_posed_corners(baked.hulls, T_gripper_link[k], links) for k in range(steps)]) for links in moving
-    )
-    # One grid for the hand and for all that its fingers reach while closing.
-    everything = np.concatenate([outline, *(o.reshape(-1, 3) for o in outlines)])
-    spacing = config.grid_spacing
-    origin, shape = grids.covering(
-        everything.min(axis=0) - config.margin, everything.max(axis=0) + config.margin, spacing
-    )
-    origin = ending_between_nodes(origin, spacing, everything, card.approach)
-    nodes = grids.node_positions(origin, spacing, shape)
-    stack = stack_fields(baked.fields, DEVICE)
-    field = Grid(origin, spacing, _hand_distance(stack, T_gripper_link[0], nodes).reshape(shape))
-    arrival = np.stack([_arrival(stack, T_gripper_link, links, nodes).reshape(shape) for links in moving])
+    body = _body(hand, baked, fingers, posture, config) if same is None else _body_of(same)
+    grid = body.hand
+    nodes = grids.node_positions(grid.origin, grid.spacing, grid.shape)
     return Preshape(
         name=posture.name,
         joints=posture.joints,
@@ -115,6 +104,43 @@ def bake_preshape(
         outline=outline,
         finger_outlines=outlines,
     )
+
+
+@dataclass(frozen=True)
+class _Body:
+    """What a preshape knows of the whole hand, samples or not."""
+
+    hand: Grid
+    corridor: Grid
+    arrival: Float[np.ndarray, "f nx ny nz"]
+    outline: Float[np.ndarray, "v 3"]
+    finger_outlines: tuple[Float[np.ndarray, "k _ 3"], ...]
+
+
+def _body_of(preshape: Preshape) -> _Body:
+    return _Body(**{entry.name: getattr(preshape, entry.name) for entry in fields(_Body)})
+
+
+def _body(
+    hand: HandModel, baked: BakedLinks, fingers: tuple[Finger, ...], posture: Posture, config: BakingConfig
+) -> _Body:
+    """All fields of a posture."""
+    T_gripper_link = closing_motion(hand, baked, posture.joints, closing_target(hand, posture.joints), config)
+    outline = _posed_corners(baked.hulls, T_gripper_link[0], range(len(baked.links)))
+    moving = [_link_indices(baked.links, finger.links) for finger in fingers]
+    outlines = tuple(np.stack([_posed_corners(baked.hulls, T, links) for T in T_gripper_link]) for links in moving)
+    # One grid for the hand and for all that its fingers reach while closing.
+    everything = np.concatenate([outline, *(o.reshape(-1, 3) for o in outlines)])
+    spacing, approach = config.grid_spacing, np.array(hand.card.approach)
+    origin, shape = grids.covering(
+        everything.min(axis=0) - config.margin, everything.max(axis=0) + config.margin, spacing
+    )
+    origin = ending_between_nodes(origin, spacing, everything, approach)
+    nodes = grids.node_positions(origin, spacing, shape)
+    stack = stack_fields(baked.fields, DEVICE)
+    field = Grid(origin, spacing, _hand_distance(stack, T_gripper_link[0], nodes).reshape(shape))
+    arrival = np.stack([_arrival(stack, T_gripper_link, links, nodes).reshape(shape) for links in moving])
+    return _Body(field, _corridor(field, approach, config), arrival, outline, outlines)
 
 
 def ending_between_nodes(

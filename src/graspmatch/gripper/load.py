@@ -17,7 +17,7 @@ from graspmatch.gripper.description import content_hash
 from graspmatch.gripper.fingertips import with_fingertips
 from graspmatch.gripper.kinematics import HandModel, load_hand
 from graspmatch.gripper.zoo import card_path
-from graspmatch.types import Finger, Gripper
+from graspmatch.types import Finger, Gripper, Preshape
 
 BAKING_VERSION = 5
 """Raised whenever baking gives another result for the same input."""
@@ -83,7 +83,7 @@ def bake_gripper(hand: HandModel, content: str, baking: BakingConfig) -> Gripper
         finger_force=card.finger_force,
         opening=card.opening,
         approach_distance=baking.approach_distance,
-        preshapes=tuple(preshape for preshape in preshapes if preshape is not None),
+        preshapes=tuple(preshapes),
         content_hash=content,
     )
 

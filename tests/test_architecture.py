@@ -18,7 +18,7 @@ FLOORS = [
     {"errors"},
     {"geometry"},
     {"kernels"},
-    {"types", "config"},
+    {"types", "config", "ranges"},
     {"gripper", "scene", "formats"},
     {"planner", "simulate"},
     {"apps"},

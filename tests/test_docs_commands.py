@@ -30,6 +30,7 @@ NOT_RUN = {
     "recording.mcap": "needs a bag; tests/test_depth_bags.py makes some",
     "theirs.h5": "needs h5py; tests/test_formats_convert.py has it",
     "seeds.npz": "made of theirs.h5",
+    "menagerie:wonik_allegro/right_hand": "needs MuJoCo Menagerie; tests/test_find_description.py reads such names",
 }
 """Words of commands that are parsed only, in tests/test_readme.py, and why."""
 
@@ -70,8 +71,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, content in re.findall(
         r"```(?:toml|xml)\n(?:# |<!-- )([\w.]+)(?: -->)?\n(.*?)```", (ROOT / "docs/grippers.md").read_text(), re.DOTALL
     ):
-        for place in (folder, folder / "path" / "to"):
-            (place / name).write_text(content)
+        (folder / "path" / "to" / name).write_text(content)
+    shutil.copy(folder / "path" / "to" / "my_hand.xml", folder / "my_hand.urdf")  # by its content, not by its name
     return folder
 
 

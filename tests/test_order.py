@@ -105,9 +105,9 @@ def test_of_free_objects_the_surer_one_comes_first(toy):
 
 
 def test_what_cannot_be_grasped_comes_last_and_says_why(toy):
-    good, flat = box_points((0.08, 0.03, 0.06), (0, 0, 0.03)), box_points((0.2, 0.2, 0.004), (0.4, 0, 0.002))
+    good, wide = box_points((0.08, 0.03, 0.06), (0, 0, 0.03)), box_points((0.2, 0.2, 0.1), (0.4, 0, 0.05))
     strict = replace(QUICK, ranking=replace(QUICK.ranking, least_confidence=0.5))
-    picks = plan_all({0: scene_of(flat, []), 1: scene_of(good, [])}, toy, strict)
+    picks = plan_all({0: scene_of(wide, []), 1: scene_of(good, [])}, toy, strict)
     assert [pick.number for pick in picks] == [1, 0]
     assert picks[1].reason == "no grasp was found"
     assert "fell at this stage" in picks[1].grasps.explain()

@@ -117,9 +117,9 @@ def test_a_thing_is_picked_by_number_pixel_and_mask_alike() -> None:
     ids = render(THREE)[1]
     rows, columns = np.nonzero(ids == 1)
     pixel = (float(np.median(columns)), float(np.median(rows)))
-    by_pixel = Scene.from_depth(depth, THREE.camera, at=pixel)
-    by_mask = Scene.from_depth(depth, THREE.camera, mask=(ids == 1))
-    by_number = [Scene.from_depth(depth, THREE.camera, object=number) for number in range(3)]
+    by_pixel = Scene.from_depth(depth, THREE.camera, at=pixel, complete=False)
+    by_mask = Scene.from_depth(depth, THREE.camera, mask=(ids == 1), complete=False)
+    by_number = [Scene.from_depth(depth, THREE.camera, object=number, complete=False) for number in range(3)]
     numbered = min(by_number, key=lambda scene: float(np.linalg.norm(scene.centre_of_mass - by_pixel.centre_of_mass)))
     for scene in (by_pixel, by_mask, numbered):
         np.testing.assert_allclose(scene.centre_of_mass[:2], [CAN.x, CAN.y], atol=0.03)
@@ -159,7 +159,7 @@ def test_a_scene_is_in_the_world_of_the_camera_pose() -> None:
 
 def test_normals_look_at_the_camera_and_others_are_obstacles() -> None:
     depth = noisy(render(THREE)[0], np.random.default_rng(0))
-    scene = Scene.from_depth(depth, THREE.camera, at=pixel_of(THREE, np.array([0.05, 0.05, 0.06])))
+    scene = Scene.from_depth(depth, THREE.camera, at=pixel_of(THREE, np.array([0.05, 0.05, 0.06])), complete=False)
     assert scene.target.normals is not None
     assert scene.sensor_origin is not None
     assert scene.view is not None

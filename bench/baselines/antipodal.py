@@ -21,6 +21,7 @@ from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.avoid import Space, point_clearance, table_clearance_of_way, upload_space
 from graspmatch.planner.candidates import Candidates, Closed, Free
 from graspmatch.planner.close import close_fingers
+from graspmatch.planner.seed import asked_for
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspmatchError, GraspSet, Gripper, PointCloud
@@ -112,7 +113,8 @@ def antipodal(scene: Scene, gripper: Gripper, seed: int) -> GraspSet:
 
 def sorted_jaws(gripper: Gripper) -> Jaws:
     """The middle of the pads is as far behind the fingertips as the hand's tool centre point, when closed, says."""
-    jaws = [jaw(preshape, gripper) for preshape in gripper.preshapes]
+    asked = asked_for(gripper)
+    jaws = [jaw(gripper.preshapes[i], gripper) for i in asked]
     opening = np.array([each.opening for each in jaws])
     order = np.argsort(opening)[: np.sum(np.isfinite(opening))]  # NaN comes last
     if len(order) == 0:
@@ -120,7 +122,7 @@ def sorted_jaws(gripper: Gripper) -> Jaws:
     closed_tip = max(float((outline[-1] @ gripper.approach).max()) for outline in gripper.preshapes[0].finger_outlines)
     behind = closed_tip - float(gripper.tool_centre_point @ gripper.approach)
     centres = np.array([each.tip_centre for each in jaws]) - behind * gripper.approach
-    return Jaws(order, opening[order], centres[order])
+    return Jaws(asked[order], opening[order], centres[order])
 
 
 def opposite_points(cloud: PointCloud, widest: float, rng: np.random.Generator) -> Pairs:

@@ -17,6 +17,7 @@ from graspmatch.geometry.sphere import fibonacci_directions
 from graspmatch.gripper.bake import bake_links
 from graspmatch.gripper.kinematics import HandModel, load_hand, pose_links
 from graspmatch.gripper.zoo import card_path
+from graspmatch.planner.seed import asked_for
 from graspmatch.types import GraspmatchError, Gripper, PointCloud
 
 Array = np.ndarray
@@ -114,7 +115,7 @@ _shapes: dict[str, HandShape] = {}
 
 def _shape_of(gripper: Gripper) -> HandShape:
     model = load_hand(card_path(gripper.name), gripper.description)
-    preshapes = np.array([preshape.joints for preshape in gripper.preshapes])
+    preshapes = np.array([gripper.preshapes[i].joints for i in asked_for(gripper)])
     closes = gripper.closed_joints != gripper.open_joints
     least, most = np.sort([gripper.open_joints, gripper.closed_joints], axis=0)
     lower = np.where(closes, least, np.maximum(gripper.lower, preshapes.min(axis=0) - SPREAD))
@@ -183,9 +184,9 @@ def _pose_table(
 
 
 def _inner_samples(model: HandModel, gripper: Gripper, fields: tuple[Grid, ...]) -> tuple[PointCloud, ...]:
-    """The samples of all preshapes in the frames of the links that they lie on, one in each voxel of a link."""
+    """The samples of the card's preshapes in the frames of the links that they lie on, one in each voxel of a link."""
     found: list[list[Array]] = [[] for _ in fields]
-    for preshape in gripper.preshapes:
+    for preshape in [gripper.preshapes[i] for i in asked_for(gripper)]:
         T_link_gripper = se3.inverse(pose_links(model, preshape.joints))
         local = se3.apply(T_link_gripper, preshape.samples.points)
         own = np.argmin(np.abs([grid.interpolate(f, p) for f, p in zip(fields, local, strict=True)]), axis=0)

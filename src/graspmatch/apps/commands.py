@@ -20,10 +20,11 @@ from graspmatch.apps.options import Plan
 from graspmatch.apps.robot import arm_of
 from graspmatch.apps.seeds import Start, start_of
 from graspmatch.apps.speech import Speech
-from graspmatch.config import BakingConfig, PlannerConfig, check_ranges, fast
+from graspmatch.config import BakingConfig, PlannerConfig, fast
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import check_place, write_atomically
 from graspmatch.formats.registry import write_grasps, writer_of
+from graspmatch.ranges import check_ranges
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspSet, Gripper
 

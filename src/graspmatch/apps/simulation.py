@@ -17,7 +17,7 @@ from graspmatch.apps.grasp_file import named_hand
 from graspmatch.apps.options import Simulate
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
-from graspmatch.config import LiftConfig, check_ranges
+from graspmatch.config import LiftConfig
 from graspmatch.errors import GraspmatchError
 from graspmatch.formats.files import check_place
 from graspmatch.formats.registry import NO_HAND, read_grasps, suffix_of
@@ -26,6 +26,7 @@ from graspmatch.geometry.se3 import translation
 from graspmatch.gripper.kinematics import HandModel, load_hand
 from graspmatch.gripper.load import load_gripper
 from graspmatch.gripper.zoo import card_path
+from graspmatch.ranges import check_ranges
 from graspmatch.scene.scene import Scene
 from graspmatch.simulate.convex import convex_parts
 from graspmatch.simulate.judge import PROTOCOLS, ProtocolConfig, judge, try_grasp, world_of

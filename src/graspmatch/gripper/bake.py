@@ -76,10 +76,9 @@ def bake_preshape(
     *,
     others: Sequence[Preshape] = (),
 ) -> Preshape | None:
-    """All fields and samples of a posture; none of fingertips that cannot be seen from between the fingers."""
-    card = hand.card
-    T_gripper_link = closing_motion(hand, baked, posture.joints, posture.closed, config)
-    steps = len(T_gripper_link)
+    """All fields and samples of a posture; none of fingertips that cannot be seen from between the fingers. Fingertips
+    take their fields from another preshape that moves alike."""
+    same = next((other for other in others if _moves_alike(other, posture)), None)
     try:
         samples, weights = _weighted_samples(hand, baked, posture, pose_links(hand, posture.joints))
     except GraspmatchError:
@@ -97,13 +96,13 @@ def bake_preshape(
         samples=samples,
         weights=weights,
         tool_centre_point=np.average(samples.points, axis=0, weights=weights),
-        hand=field,
-        corridor=corridor(field, np.array(card.approach), config),
-        nearest_sample=np.asarray(KDTree(samples.points).query(nodes)[1], dtype=np.int32).reshape(shape),
-        arrival=arrival,
-        outline=outline,
-        finger_outlines=outlines,
+        nearest_sample=np.asarray(KDTree(samples.points).query(nodes)[1], dtype=np.int32).reshape(grid.shape),
+        **vars(body),
     )
+
+
+def _moves_alike(preshape: Preshape, posture: Posture) -> bool:
+    return np.array_equal(preshape.joints, posture.joints) and np.array_equal(preshape.closed, posture.closed)
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def _body(
     hand: HandModel, baked: BakedLinks, fingers: tuple[Finger, ...], posture: Posture, config: BakingConfig
 ) -> _Body:
     """All fields of a posture."""
-    T_gripper_link = closing_motion(hand, baked, posture.joints, closing_target(hand, posture.joints), config)
+    T_gripper_link = closing_motion(hand, baked, posture.joints, posture.closed, config)
     outline = _posed_corners(baked.hulls, T_gripper_link[0], range(len(baked.links)))
     moving = [_link_indices(baked.links, finger.links) for finger in fingers]
     outlines = tuple(np.stack([_posed_corners(baked.hulls, T, links) for T in T_gripper_link]) for links in moving)
@@ -140,7 +139,7 @@ def _body(
     stack = stack_fields(baked.fields, DEVICE)
     field = Grid(origin, spacing, _hand_distance(stack, T_gripper_link[0], nodes).reshape(shape))
     arrival = np.stack([_arrival(stack, T_gripper_link, links, nodes).reshape(shape) for links in moving])
-    return _Body(field, _corridor(field, approach, config), arrival, outline, outlines)
+    return _Body(field, corridor(field, approach, config), arrival, outline, outlines)
 
 
 def ending_between_nodes(

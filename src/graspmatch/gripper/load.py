@@ -19,7 +19,7 @@ from graspmatch.gripper.kinematics import HandModel, load_hand
 from graspmatch.gripper.zoo import card_path
 from graspmatch.types import Finger, Gripper, Preshape
 
-BAKING_VERSION = 5
+BAKING_VERSION = 6
 """Raised whenever baking gives another result for the same input."""
 
 
@@ -64,8 +64,10 @@ def bake_gripper(hand: HandModel, content: str, baking: BakingConfig) -> Gripper
     )
     open_joints, closed_joints = (np.array(values, dtype=float) for values in (card.open_joints, card.closed_joints))
     links = bake_links(hand.links, baking)
-    postures = with_fingertips(hand, links.fields)
-    preshapes = [bake_preshape(hand, links, fingers, posture, baking) for posture in postures]
+    preshapes: list[Preshape] = []
+    for posture in with_fingertips(hand, links.fields):
+        preshape = bake_preshape(hand, links, fingers, posture, baking, others=preshapes)
+        preshapes += [] if preshape is None else [preshape]
     return Gripper(
         name=card.name,
         description=hand.description.path,

@@ -9,7 +9,7 @@ from importlib.metadata import version
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.config import ClosingConfig, PathConfig, PlannerConfig, RankingConfig, check
+from graspmatch.config import ClosingConfig, PathConfig, PlannerConfig, RankingConfig
 from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space
@@ -25,6 +25,7 @@ from graspmatch.planner.refine import Judge, joined, judge_of, refine
 from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.stopwatch import Stopwatch
 from graspmatch.planner.tally import Tally
+from graspmatch.ranges import check
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspmatchError, GraspSet, Gripper, Provenance
 

@@ -16,8 +16,9 @@ from graspmatch.apps.bench.view import view
 from graspmatch.apps.options import Bench
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
-from graspmatch.config import LiftConfig, check, check_ranges
+from graspmatch.config import LiftConfig
 from graspmatch.errors import GraspmatchError
+from graspmatch.ranges import check, check_ranges
 
 TRIALS = {"paper": 50, "ablation": 5, "quick": 3, "view": 10, "clutter": 20}
 """Per object, or piles, where none are given."""

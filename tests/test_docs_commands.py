@@ -30,6 +30,8 @@ NOT_RUN = {
     "recording.mcap": "needs a bag; tests/test_depth_bags.py makes some",
     "theirs.h5": "needs h5py; tests/test_formats_convert.py has it",
     "seeds.npz": "made of theirs.h5",
+    "--robot": "needs an arm; tests/test_arm.py has one",
+    "--seeds": "needs grasps of others; tests/test_seeds.py has some",
     "menagerie:wonik_allegro/right_hand": "needs MuJoCo Menagerie; tests/test_find_description.py reads such names",
 }
 """Words of commands that are parsed only, in tests/test_readme.py, and why."""

@@ -126,7 +126,7 @@ def test_seeds_are_refined_by_matching(franka, rows: Path):
     off = T @ se3.from_parts(se3.rotation_exp(np.array([0.0, 0.26, 0.0])), np.array([0.0, 0.02, -0.02]))
     grasps = plan(scene, franka, PlannerConfig(device="cpu"), starts_world_gripper=off)
     assert len(grasps) > 0, grasps.explain()
-    assert grasps.score[0] > 0.8
+    assert grasps.score[0] > 0.5
     assert np.linalg.norm(grasps.T_world_gripper[0, :3, 3] - off[0, :3, 3]) < 0.08
 
 

@@ -31,7 +31,10 @@ def served() -> Iterator[tuple[Page, Visit]]:
     scene = Scene.from_mesh(mug())
     catalogue = Catalogue({"franka_hand": lambda: hand}, {"mug": lambda: scene}, CONFIG)
     shown = planned(catalogue, "franka_hand", "mug", 0, 8)
-    with page_of(shown, CONFIG, port=8190) as page, browsing(f"http://127.0.0.1:{page.server.get_port()}") as visit:
+    with (
+        page_of(shown, CONFIG, port=8190) as page,
+        browsing(f"http://127.0.0.1:{page.server.get_port()}", width=960) as visit,
+    ):
         visit.page.get_by_text("8 grasps").wait_for(timeout=60_000)
         yield page, visit
 
@@ -52,7 +55,7 @@ def eventually(holds: Callable[[], bool], visit: Visit, seconds: float = 60.0) -
 
 def rendered(visit: Visit) -> np.ndarray:
     """The part of the picture that no controls cover."""
-    return visit.picture()[:, :300].astype(int)
+    return visit.picture()[170:, :620].astype(int)
 
 
 def changes(visit: Visit, before: np.ndarray) -> bool:

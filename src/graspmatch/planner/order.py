@@ -69,7 +69,7 @@ def plan_all(
     """
     config = config or PlannerConfig()
     found = {number: plan(scene, gripper, config, reach=reach) for number, scene in scenes.items()}
-    clouds = {number: thinned(scene.target.points, POINTS) for number, scene in scenes.items()}
+    clouds = {number: thinned(scene.seen_points, POINTS) for number, scene in scenes.items()}
     above = {number: _standing_on(number, scenes[number], clouds) for number in scenes}
     table = _Table(dict(scenes), found, clouds, above, list(scenes), [], dict.fromkeys(scenes, 0))
     while table.left:

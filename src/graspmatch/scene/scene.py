@@ -82,6 +82,11 @@ class Scene:
             return _mesh_scene(content, name, table, unit, obstacles)
         return _cloud_scene(content, name, table, unit, obstacles, sensor_origin)
 
+    @property
+    def seen_points(self) -> Float[Array, "m 3"]:
+        """The target's points, less those that are a guess [m]."""
+        return self.target.points if self.is_guessed is None else self.target.points[~self.is_guessed]
+
     @classmethod
     def from_mesh(
         cls,

@@ -134,12 +134,13 @@ def test_fingertips_start_around_opposite_points_from_above_and_the_robots_side(
 
 
 def test_thin_part_away_from_the_middle_is_held_by_the_fingertips(toy):
-    """A block that is too wide for the hand, with a fin near its edge."""
+    """A block that is too wide for the hand, with a fin near its edge; few hands start around its middle."""
     scene = boxes(((0.12, 0.12, 0.03), (0.0, 0.0, 0.015)), ((0.03, 0.006, 0.03), (0.02, 0.04, 0.04)))
-    config = PlannerConfig(grip=GripConfig(mass=0.05))
+    few = SeedingConfig(points=8, above=0, batches=2)
+    config = PlannerConfig(seeding=few, grip=GripConfig(mass=0.05))
     grasps = plan(scene, toy, config)
     assert len(grasps) > 0, grasps.explain()
     tip = se3.apply(grasps.T_world_gripper[0], toy.tool_centre_point[None])[0]
     np.testing.assert_allclose(tip[:2], [0.02, 0.04], atol=0.02)
-    whole = plan(scene, toy, replace(config, seeding=SeedingConfig(fingertips=0)))
+    whole = plan(scene, toy, replace(config, seeding=replace(few, fingertips=0)))
     assert grasps.score[0] > whole.score.max(initial=0.0)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jaxtyping
 import pytest
+
+if TYPE_CHECKING:
+    from graspmatch.types import Gripper
 
 # Warp reads the source of its kernels, so the modules that hold or launch them stay as they are.
 CHECKED = [
@@ -37,6 +41,19 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("needs the data of ../shared/data, which is not part of the repository")
     return SHARED_DATA.resolve()
+
+
+@pytest.fixture(scope="session")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Gripper:
+    """The hand of `toy_hand`: pads at y = +-0.03, +-0.021, +-0.012 and, of fingertip preshapes, +-0.03, +-0.015,
+    +-0.0075; tips at z = 0.06."""
+    from graspmatch.gripper.load import load_gripper
+    from toy_hand import COARSE, write_toy
+
+    folder = tmp_path_factory.mktemp("toy")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
+        return load_gripper(write_toy(folder), baking=COARSE)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -14,16 +14,14 @@ import trimesh
 from arm_robot import write_arm
 from graspmatch.apps.cli import main
 from graspmatch.geometry import se3
-from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.arm import ANGLE_TOLERANCE, POSITION_TOLERANCE, Arm
 from graspmatch.planner.path import OUT_OF_REACH
 from graspmatch.planner.plan import plan
 from graspmatch.planner.waypoints import waypoints
 from graspmatch.scene.shapes import mug
-from graspmatch.types import GraspmatchError, Gripper
+from graspmatch.types import GraspmatchError
 from test_path import scene_with
 from test_planner import SMALL
-from toy_hand import COARSE, write_toy
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 
@@ -48,14 +46,6 @@ SLIDES = """
   </worldbody>
 </mujoco>
 """
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Gripper:
-    folder = tmp_path_factory.mktemp("toy")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
-        return load_gripper(write_toy(folder), baking=COARSE)
 
 
 @pytest.fixture(scope="module")

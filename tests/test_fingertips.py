@@ -21,14 +21,6 @@ from graspmatch.types import GraspmatchError, Gripper, Preshape
 from toy_hand import CARD, COARSE, write_toy
 
 
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Gripper:
-    folder = tmp_path_factory.mktemp("toy")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
-        return load_gripper(write_toy(folder), baking=COARSE)
-
-
 def tips_of(hand: Gripper) -> list[Preshape]:
     return [preshape for preshape in hand.preshapes if preshape.is_fingertips]
 

@@ -17,19 +17,9 @@ from graspmatch.geometry import se3
 from graspmatch.gripper.load import load_gripper
 from graspmatch.scene.shapes import mug
 from graspmatch.types import GraspSet, Gripper, Provenance
-from toy_hand import COARSE, write_toy
 
 # Approach along +z at height 0.5, closing along +x: columns x = (0, 0, 1), y = (1, 0, 0), z = x cross y = (0, 1, 0).
 ROW = [0.9, 0.05, 0.02, 0.03, 0, 1, 0, 0, 0, 1, 1, 0, 0, 0.1, 0.2, 0.5, -1]
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Gripper:
-    """Pads at y = +-0.03, +-0.021, +-0.012 and, of fingertip preshapes, +-0.03, +-0.015, +-0.0075; tips at z = 0.06."""
-    folder = tmp_path_factory.mktemp("toy")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
-        return load_gripper(write_toy(folder), baking=COARSE)
 
 
 def grasps_of(gripper: Gripper, n: int = 12) -> GraspSet:

@@ -18,7 +18,6 @@ from graspmatch.planner.hold import GRAVITY, Held, Touchable, drives, hold, touc
 from graspmatch.scene.scene import Scene
 from graspmatch.scene.shapes import convex_hull
 from graspmatch.types import Gripper
-from toy_hand import COARSE, write_toy
 
 Z = np.array([0.0, 0.0, 1.0])
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -31,14 +30,6 @@ MIDDLING = 0.3
 @pytest.fixture(scope="module")
 def franka() -> Gripper:
     return load_gripper("franka_hand")
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Gripper:
-    folder = tmp_path_factory.mktemp("toy")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
-        return load_gripper(write_toy(folder), baking=COARSE)
 
 
 @pytest.fixture(params=["franka", "toy"])

@@ -13,14 +13,12 @@ from PIL import Image
 from depth_scenes import Box, Cylinder, K, Setting, noisy, render
 from graspmatch.apps.cli import main
 from graspmatch.config import PlannerConfig, RefiningConfig, SeedingConfig
-from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.order import Pick, plan_all
 from graspmatch.planner.stacked import covered_share, is_stood_on, stands_on
 from graspmatch.scene.every import scenes_of_depth, scenes_of_view
 from graspmatch.scene.scene import Scene
-from graspmatch.types import Gripper, Plane, PointCloud
+from graspmatch.types import Plane, PointCloud
 from test_planner import box_points
-from toy_hand import COARSE, write_toy
 
 TABLE = Plane(np.array([0.0, 0.0, 1.0]), 0.0)
 UP = np.array([0.0, 0.0, 0.2])
@@ -28,14 +26,6 @@ QUICK = PlannerConfig(seeding=SeedingConfig(points=60, batches=1), refining=Refi
 STACK = Setting(
     (Box(-0.12, 0, (0.16, 0.14, 0.06)), Box(-0.12, 0, (0.05, 0.05, 0.08), z=0.06), Box(0.12, 0, (0.05, 0.04, 0.08)))
 )
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Gripper:
-    folder = tmp_path_factory.mktemp("toy")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
-        return load_gripper(write_toy(folder), baking=COARSE)
 
 
 LOWER = box_points((0.1, 0.1, 0.06), (0, 0, 0.03), 0.004)

@@ -41,14 +41,6 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 BOX = box_points((0.05, 0.03, 0.06), (0, 0, 0.03))
 
 
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Gripper:
-    folder = tmp_path_factory.mktemp("toy")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
-        return load_gripper(write_toy(folder), baking=COARSE)
-
-
 def scene_with(obstacles=None) -> Scene:
     return Scene.from_cloud(BOX, obstacles=obstacles, table=0.0)
 

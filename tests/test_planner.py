@@ -18,7 +18,6 @@ from graspmatch.config import (
 )
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid, interpolate
-from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space, wider_preshapes
 from graspmatch.planner.candidates import Candidates, Matched
@@ -31,17 +30,9 @@ from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene, Table
 from graspmatch.scene.shapes import mug
 from graspmatch.types import GraspmatchError, Gripper, PointCloud
-from toy_hand import COARSE, write_toy
+from toy_hand import COARSE
 
 METHODS = ("icp", "sgd-icp", "stein-icp", "annealed-stein-icp")
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Gripper:
-    folder = tmp_path_factory.mktemp("toy")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
-        return load_gripper(write_toy(folder), baking=COARSE)
 
 
 def box_points(size, centre, spacing=0.002):

@@ -13,7 +13,6 @@ from graspmatch.config import MatchingConfig, SeedingConfig
 from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid
-from graspmatch.gripper.load import load_gripper
 from graspmatch.kernels import reference
 from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.match import match, measure, prepare
@@ -21,8 +20,7 @@ from graspmatch.planner.seed import seed_poses
 from graspmatch.planner.upload import inverse_inertia
 from graspmatch.scene.scene import Scene
 from graspmatch.scene.shapes import mug
-from graspmatch.types import GraspmatchError, Gripper
-from toy_hand import COARSE, write_toy
+from graspmatch.types import GraspmatchError
 
 torch = pytest.importorskip("torch", reason="the comparison needs PyTorch, which graspmatch itself does not")
 
@@ -110,14 +108,6 @@ def one_thread(monkeypatch):
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(5)
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Gripper:
-    folder = tmp_path_factory.mktemp("toy")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GRASPMATCH_CACHE", str(folder / "cache"))
-        return load_gripper(write_toy(folder), baking=COARSE)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -148,6 +149,18 @@ def test_short_forms_are_the_same_options() -> None:
     long = parse_plan("--matching.method", "icp", "--ranking.count", "5")
     assert short == long
     assert (short.config.matching.method, short.config.ranking.count) == ("icp", 5)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX systems")
+def test_output_that_nobody_reads_on_is_no_error() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "graspmatch.apps.cli", "bench", "--help"], stdout=writing, stderr=subprocess.PIPE
+    )
+    os.close(writing)
+    assert done.stderr == b""
+    assert done.returncode == 141
 
 
 def test_help_is_fast_and_loads_nothing_heavy() -> None:

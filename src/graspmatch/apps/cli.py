@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -30,13 +31,29 @@ Exit status: 0 done, 1 a fault of graspmatch, 2 something given cannot be used, 
 
 SHORT_FORMS = {"--method": "--matching.method", "--count": "--ranking.count"}
 """Options of the configuration that are used often enough to have a second name."""
+SIGPIPE_STATUS = 141
+"""Of a program whose output nobody reads to the end: what a shell says of one that SIGPIPE ended."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the result is the exit status. Options that cannot be parsed leave by SystemExit(2)."""
-    command = parse(sys.argv[1:] if argv is None else argv)
+    try:
+        try:
+            return run_words(sys.argv[1:] if argv is None else argv)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:  # what reads our output has seen enough of it, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return SIGPIPE_STATUS
+
+
+def run_words(argv: Sequence[str]) -> int:
+    """Run the command of a command line; errors become one line on stderr and an exit status."""
+    command = parse(argv)
     try:
         return run(command)
+    except BrokenPipeError:
+        raise
     except GraspmatchError as error:
         return _failed(command, " ".join(str(error).split()), status=2)
     except KeyboardInterrupt:

@@ -24,6 +24,7 @@ from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.stacked import covered_share, is_stood_on
 from graspmatch.planner.tally import Tally
 from graspmatch.planner.thin import thinned
+from graspmatch.planner.upload import pose_arrays
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspmatchError
 
@@ -95,9 +96,7 @@ def is_executable(candidates: Candidates, way: Way) -> Bool[Array, "n"]:
 
 def keeps_direction(candidates: Candidates, way: Way) -> Bool[Array, "n"]:
     """Whether each approach is in the cone."""
-    middle = np.array(way.config.approach_along) / np.linalg.norm(way.config.approach_along)
-    approach_world = candidates.T_world_gripper[:, :3, :3] @ way.space.gripper.approach
-    return np.arccos(np.clip(approach_world @ middle, -1, 1)) <= way.config.approach_angle + 1e-9
+    return _off_middle(candidates, way)[1] <= way.config.approach_angle + 1e-9
 
 
 def stays_in_box(candidates: Candidates, way: Way) -> Bool[Array, "n"]:
@@ -140,16 +139,10 @@ def lift_clearance(candidates: Candidates, way: Way) -> Float[Array, "n"]:
     first, end = space.points.ends[0], space.points.ends[1]
     if space.table is None or first == end:
         return np.full(len(candidates), way.clearance)
-    lever = np.einsum("nij,nj->ni", candidates.T_world_gripper[:, :3, :3], space.hand.pivots[candidates.preshape])
-    position = candidates.T_world_gripper[:, :3, 3] + lever - space.centre_of_mass
     up = np.tile(way.config.lift_height * space.table.normal, (len(candidates), 1))
+    poses = pose_arrays(candidates, space.centre_of_mass, space.device, space.hand.pivots)
     inputs = [space.hand.matching.distance, space.points.points, first, end, way.clearance]
-    inputs += [
-        wp.array(up, dtype=wp.vec3, device=space.device),
-        wp.array(candidates.preshape, dtype=wp.int32, device=space.device),
-        wp.array(position, dtype=wp.vec3, device=space.device),
-        wp.array(candidates.quaternions_xyzw(), dtype=wp.quat, device=space.device),
-    ]
+    inputs += [wp.array(up, dtype=wp.vec3, device=space.device), *poses]
     clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
     launch(way_clearance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=4)
     return clearance.numpy().astype(float)
@@ -196,21 +189,21 @@ def poses_of_way(candidates: Candidates, way: Way) -> Float[Array, "n 3 4 4"]:
 
 def aimed(starts: Candidates, way: Way, centre: Float[Array, "3"]) -> Candidates:
     """Starts of other directions turned about the object's centre to the edge of the cone, by the shortest way."""
-    outside = np.flatnonzero(~keeps_direction(starts, way))
-    if len(outside) == 0:
-        return starts
-    T_world_gripper = starts.T_world_gripper.copy()
-    approach = T_world_gripper[outside, :3, :3] @ way.space.gripper.approach
+    axis, angle = _off_middle(starts, way)
+    excess = np.maximum(angle - way.config.approach_angle, 0.0)
+    turn = se3.from_parts(se3.rotation_exp(axis * excess[:, None]), np.zeros(3))
+    return Candidates(starts.preshape, se3.about(centre, turn) @ starts.T_world_gripper)
+
+
+def _off_middle(candidates: Candidates, way: Way) -> tuple[Float[Array, "n 3"], Float[Array, "n"]]:
+    """Axis and angle [rad] of the shortest turn of each approach to the middle of the cone."""
     middle = np.array(way.config.approach_along) / np.linalg.norm(way.config.approach_along)
+    approach = candidates.T_world_gripper[:, :3, :3] @ way.space.gripper.approach
     axis = np.cross(approach, middle)
-    axis = np.where(
-        np.linalg.norm(axis, axis=-1, keepdims=True) > 1e-6, axis, np.roll(np.eye(3), 1)[np.argmin(abs(middle))]
-    )
-    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
-    angle = np.arccos(np.clip(approach @ middle, -1, 1)) - way.config.approach_angle
-    turn = se3.from_parts(se3.rotation_exp(axis * angle[:, None]), np.zeros(3))
-    T_world_gripper[outside] = se3.about(centre, turn) @ T_world_gripper[outside]
-    return Candidates(starts.preshape, T_world_gripper)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    across = np.cross(middle, np.eye(3)[np.argmin(np.abs(middle))])  # any will do for what looks straight away from it
+    axis = np.where(sine > 1e-6, axis, across)
+    return axis / np.linalg.norm(axis, axis=-1, keepdims=True), np.arccos(np.clip(approach @ middle, -1, 1))
 
 
 def _goes_into_table(back: Float[Array, "3"], way: Way) -> bool:

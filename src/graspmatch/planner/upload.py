@@ -136,10 +136,19 @@ def inverse_inertia(points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray,
     return np.linalg.inv((np.trace(second) + 1e-6) * np.eye(3) - second)
 
 
-def pose_arrays(candidates: Candidates, centre_of_mass: Float[np.ndarray, "3"], device: str) -> list[wp.array]:
-    """Preshape, position and rotation of each candidate as the kernels take them, object frame."""
+def pose_arrays(
+    candidates: Candidates,
+    centre_of_mass: Float[np.ndarray, "3"],
+    device: str,
+    pivots: Float[np.ndarray, "p 3"] | None = None,
+) -> list[wp.array]:
+    """Preshape, position and rotation of each candidate as the kernels take them, object frame: the positions of the
+    gripper frame, or of the pivots of the preshapes."""
+    position = candidates.T_world_gripper[:, :3, 3] - centre_of_mass
+    if pivots is not None:
+        position += np.einsum("nij,nj->ni", candidates.T_world_gripper[:, :3, :3], pivots[candidates.preshape])
     return [
         wp.array(candidates.preshape, dtype=wp.int32, device=device),
-        wp.array(candidates.T_world_gripper[:, :3, 3] - centre_of_mass, dtype=wp.vec3, device=device),
+        wp.array(position, dtype=wp.vec3, device=device),
         wp.array(candidates.quaternions_xyzw(), dtype=wp.quat, device=device),
     ]

@@ -61,13 +61,13 @@ class Lifted:
     standing: Float[Array, "n"]
     """Mean margin before the object turns, see `Graded`."""
     clear_share: Float[Array, "n"]
-    """Of small displacements of the hand, in which it meets nothing on its way in."""
+    """Of arrivals, in which the hand meets nothing on its way in."""
     loss: Float[Array, "n"]
     """Eq. (13) [m2]."""
-    contacts: Int[Array, "n"]
-    """Of fingers and palm in the end, the hand where it was planned."""
+    contacts: Float[Array, "n"]
+    """Of fingers and palm in the end, the mean over those trials."""
     planned_margin: Float[Array, "n"]
-    """Likewise."""
+    """The hand where it was planned."""
     pushed: Float[Array, "n"]
     """How far the fingers push the object then [m] ..."""
     slipped: Float[Array, "n"]
@@ -106,6 +106,7 @@ FIGURES = (
     "standing",
     "clear_share",
     "loss",
+    "contacts",
     "planned_margin",
     "pushed",
     "slipped",
@@ -116,7 +117,6 @@ FIGURES = (
 NOTHING = Lifted(
     **{name: np.zeros(0, dtype="<U1") for name in ("hand", "object", "reason")},
     **{name: np.zeros(0) for name in FIGURES},
-    contacts=np.zeros(0, dtype=int),
 )
 
 
@@ -241,7 +241,7 @@ def with_figures(job: Job, grasps: GraspSet, scene: Scene, gripper: Gripper, rea
         standing=graded.standing,
         clear_share=graded.clear_share,
         loss=grasps.loss,
-        contacts=planned.contacts,
+        contacts=graded.contacts,
         planned_margin=planned.margin,
         pushed=planned.pushed,
         slipped=planned.slipped,

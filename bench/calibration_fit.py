@@ -24,7 +24,7 @@ TERMS: dict[str, Callable[[Lifted], Array]] = {
     "standing margin": lambda lifted: lifted.standing,
     "root loss": lambda lifted: np.sqrt(np.maximum(lifted.loss, 0.0)) / LOSS_SCALE,
     "clear share": lambda lifted: lifted.clear_share,
-    "contacts": lambda lifted: lifted.contacts.astype(float),
+    "contacts": lambda lifted: lifted.contacts,
     "margin as planned": lambda lifted: lifted.planned_margin,
     "pushed": lambda lifted: 100 * lifted.pushed,
     "slipped": lambda lifted: 100 * lifted.slipped,
@@ -33,7 +33,7 @@ TERMS: dict[str, Callable[[Lifted], Array]] = {
 }
 """Figures of a grasp that say something of whether it holds: loss as the planner scales it, push and slip in
 centimetres, clearance in millimetres, forces in those of a finger."""
-MODEL = ("margin", "held share", "root loss", "standing margin")
+MODEL = ("margin", "held share", "root loss", "standing margin", "contacts")
 """Those that the planner ranks by, in the order of its constants."""
 OTHERS = tuple(name for name in TERMS if name not in MODEL)
 

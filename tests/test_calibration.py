@@ -45,7 +45,7 @@ from graspmatch.config import LiftConfig, SeedingConfig
 from graspmatch.errors import GraspmatchError
 from graspmatch.planner.grade import confidence
 
-TRUE = Model(MODEL, 0.0, (1.5, 2.0, -0.8, 1.0))
+TRUE = Model(MODEL, 0.0, (1.5, 2.0, -0.8, 1.0, 0.2))
 
 
 def made_up(rng: np.random.Generator, objects: int = 24, each: int = 50, model: Model = TRUE) -> Lifted:
@@ -60,7 +60,7 @@ def made_up(rng: np.random.Generator, objects: int = 24, each: int = 50, model: 
         standing=rng.normal(0.0, 0.4, n),
         clear_share=rng.uniform(0.0, 1.0, n),
         loss=rng.uniform(0.0, 0.1, n) ** 2,
-        contacts=rng.integers(0, 12, n),
+        contacts=rng.uniform(0.0, 12.0, n),
         planned_margin=rng.normal(0.0, 0.5, n),
         pushed=rng.uniform(0.0, 0.03, n),
         slipped=rng.uniform(0.0, 0.03, n),
@@ -170,7 +170,7 @@ def test_the_first_grasp_of_each_hand_and_object_is_what_counts_on_top() -> None
 
 def test_the_model_of_the_planner_is_the_one_that_is_fitted() -> None:
     lifted = made_up(np.random.default_rng(7))
-    expected = confidence(lifted.margin, lifted.held_share, lifted.loss, lifted.standing)
+    expected = confidence(lifted.margin, lifted.held_share, lifted.loss, lifted.standing, lifted.contacts)
     assert planner_model().confidence(lifted) == pytest.approx(expected)
 
 

@@ -29,7 +29,7 @@ from graspmatch.planner.grade import (
 )
 from graspmatch.planner.hold import hold
 from graspmatch.planner.match import prepare
-from graspmatch.planner.refine import Judge, confirm, judge_of, refine
+from graspmatch.planner.refine import Judge, confirm, judge_of, refine, roomiest
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene
 from graspmatch.scene.shapes import convex_hull
@@ -79,14 +79,15 @@ def around(judge: Judge, count: int, seed: int = 0, spread: float = 1.0) -> Clos
 
 
 def test_confidence_grows_with_the_margin_and_with_the_share_that_holds_and_falls_with_the_loss():
-    axes = np.linspace(-1, 2, 31), np.linspace(0, 1, 7), np.linspace(0, 0.02, 5), np.linspace(-1, 1, 5)
-    values = confidence(*(a.ravel() for a in np.meshgrid(*axes, indexing="ij"))).reshape(31, 7, 5, 5)
+    axes = np.linspace(-1, 2, 31), np.linspace(0, 1, 7), np.linspace(0, 0.02, 5), np.linspace(-1, 1, 5), np.arange(6.0)
+    values = confidence(*(a.ravel() for a in np.meshgrid(*axes, indexing="ij"))).reshape(31, 7, 5, 5, 6)
     assert np.all((values > 0) & (values < 1))
     assert np.all(np.diff(values, axis=0) > 0)
     assert np.all(np.diff(values, axis=1) > 0)
     assert np.all(np.diff(values, axis=2) < 0)
     assert np.all(np.diff(values, axis=3) > 0)
-    assert confidence(*np.zeros((4, 1)))[0] == pytest.approx(1 / (1 + np.exp(-CALIBRATION[0])))
+    assert np.all(np.diff(values, axis=4) > 0)
+    assert confidence(*np.zeros((5, 1)))[0] == pytest.approx(1 / (1 + np.exp(-CALIBRATION[0])))
 
 
 @pytest.mark.parametrize("count", [12, 96])
@@ -129,7 +130,8 @@ def test_grades_are_shares_of_the_trials_and_means_of_their_margins(franka, judg
     assert graded.held_share[0] == 1
     np.testing.assert_allclose(graded.margin[graded.held_share == 0], LOST_MARGIN)
     np.testing.assert_array_equal(
-        graded.confidence, confidence(graded.margin, graded.held_share, graded.final_loss, graded.standing)
+        graded.confidence,
+        confidence(graded.margin, graded.held_share, graded.final_loss, graded.standing, graded.contacts),
     )
     assert graded.confidence[0] > np.median(graded.confidence)
 
@@ -137,7 +139,7 @@ def test_grades_are_shares_of_the_trials_and_means_of_their_margins(franka, judg
 def test_without_errors_every_trial_is_the_plan(franka, judge):
     closed, n = around(judge, 8), 8
     unmoved = np.tile(np.eye(4), (3, 1, 1))
-    trials = Trials(unmoved, unmoved, np.full(3, middling(CONFIG.grip)))
+    trials = Trials(unmoved, unmoved, np.full(3, middling(CONFIG.grip)), clearance=0.0, inexact=1.0)
     graded = grade(closed, np.zeros(n), np.zeros(n), trials, judge.space, judge.target, CONFIG.grip)
     planned = hold(closed, np.full(n, middling(CONFIG.grip)), judge.target, franka, CONFIG.grip, "cpu")
     clearance = np.minimum(point_clearance(closed, judge.space), table_clearance(closed, judge.space))
@@ -154,10 +156,10 @@ def test_a_hand_that_barely_fits_is_less_sure_than_one_with_room(franka, judge):
     aside.T_world_gripper[:, :3, 3] += 0.019 * (centred.T_world_gripper[:, :3, :3] @ franka.closing)  # of 20 mm of room
     room, tight = (judge.grade(closed, judge.first) for closed in (centred, aside))
     assert room.clear_share[0] > 0.9
-    assert 0.2 < tight.clear_share[0] < 0.8
+    assert 0.75 < tight.clear_share[0] < 0.95  # three arrivals in four are as planned
     np.testing.assert_allclose(tight.clear_share, clear_share(aside, judge.trials, judge.space))
     np.testing.assert_array_equal(tight.sureness, tight.clear_share * tight.confidence)
-    assert tight.sureness[0] < 0.9 * room.sureness[0]
+    assert tight.sureness[0] < room.sureness[0]
 
 
 def test_fingers_end_where_they_hold_the_object(franka, judge):
@@ -188,6 +190,22 @@ def test_the_foremost_hold_and_the_tally_adds_up(franka, judge):
     ]
     assert held[0].all()
     assert not held[1].all()
+
+
+def test_a_hand_with_room_arrives_as_wide_as_it_can(franka, judge):
+    closed = around(judge, 6)
+    names = [preshape.name for preshape in franka.preshapes]
+    narrow = replace(closed, preshape=np.full(6, names.index("close_30")))  # 50 mm for an object of 40 mm
+    wide = roomiest(narrow, judge)
+    before, after = (clear_share(some, judge.trials, judge.space) for some in (narrow, wide))
+    assert len(wide) == 6
+    assert np.all(after >= before)
+    assert after[0] > before[0]
+    assert names[wide.preshape[0]] < "close_30"
+    np.testing.assert_array_equal(wide.T_world_gripper, narrow.T_world_gripper)
+    np.testing.assert_allclose(wide.grasp_joints[0], 0.02, atol=0.001)  # where they meet the object
+    must_not = replace(judge, config=replace(CONFIG, collision=replace(CONFIG.collision, may_open=False)))
+    np.testing.assert_array_equal(roomiest(narrow, must_not).preshape, narrow.preshape)
 
 
 def test_refining_makes_the_surest_surer(judge):

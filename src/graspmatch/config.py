@@ -165,6 +165,11 @@ class GripConfig:
     """[m]"""
     way_angle_error: float = math.radians(3.0)
     """[rad]"""
+    way_clearance: float = 0.001
+    """That a displaced hand must still keep on its way in: meshes, scans and fields are wrong by as much [m]."""
+    inexact: float = 0.25
+    """Share of arrivals that are so displaced; in the others the hand comes as planned. 1 for a robot that is never
+    better calibrated than that."""
     points: int = 2000
     """Of the object, at most so many ..."""
     reachable_points: int = 400

@@ -73,7 +73,7 @@ class Graded(Closed):
     final_loss: Float[Array, "n"]
     """Eq. (13) there [m2]."""
     clear_share: Float[Array, "n"]
-    """Share of small displacements of the hand in which it meets nothing on its way in."""
+    """Share of arrivals, as planned or a little displaced, in which the hand meets nothing on its way in."""
     margin: Float[Array, "n"]
     """Smallest wrench that is not resisted in the end, the mean over all trials: see `hold.Held`, `grade.grade`."""
     held_share: Float[Array, "n"]
@@ -81,6 +81,8 @@ class Graded(Closed):
     standing: Float[Array, "n"]
     """The mean margin as the fingers meet the object, before it turns, for a hand that presses no harder than two
     fingers of one drive."""
+    contacts: Float[Array, "n"]
+    """Of fingers and palm in the end, at most five of each: the mean over all trials."""
     tries: Int[Array, "n"]
     """How many trials that were."""
     confidence: Float[Array, "n"]

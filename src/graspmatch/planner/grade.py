@@ -26,8 +26,8 @@ STANDING_TRIALS = 2
 """So many of the trials ask for the standing margin, which varies little."""
 LOSS_SCALE = 0.05
 """[m]"""
-CALIBRATION = (2.36, 1.77, 2.12, -0.97, 1.18)
-"""Offset, and weights of margin, share of trials that hold, root of the loss, and standing margin."""
+CALIBRATION = (-1.325, 0.288, 4.627, -0.693, 1.343, 0.236)
+"""Offset, and weights of margin, share of trials that hold, root of the loss, standing margin, and contacts."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,19 @@ class Trials:
     """Conditions under which every grasp is tried."""
 
     way_in: Float[Array, "m 4 4"]
-    """Displacements of the hand that must meet nothing on its way in, gripper frame ..."""
+    """Displacements of the hand on its way in, gripper frame ..."""
     error: Float[Array, "k 4 4"]
     """... and those under which its fingers close, ..."""
     friction: Float[Array, "k"]
     """... each with its friction."""
+    clearance: float
+    """That the hand must keep on a displaced way in [m]."""
+    inexact: float
+    """Share of arrivals that come by one of those ways in; the others come as planned."""
 
     def __getitem__(self, which: slice) -> Trials:
         """Some of the closings."""
-        return Trials(self.way_in, self.error[which], self.friction[which])
+        return replace(self, error=self.error[which], friction=self.friction[which])
 
     def __len__(self) -> int:
         return len(self.friction)
@@ -55,7 +59,8 @@ def draw_trials(config: GripConfig, seed: int) -> Trials:
     rng = np.random.default_rng(seed)
     error = draw_errors(config.trials, config.position_error, config.angle_error, rng)
     way_in = draw_errors(config.ways_in, config.way_position_error, config.way_angle_error, rng)
-    return Trials(way_in, error, np.resize(np.array(config.frictions), config.trials))
+    friction = np.resize(np.array(config.frictions), config.trials)
+    return Trials(way_in, error, friction, config.way_clearance, config.inexact)
 
 
 def draw_errors(count: int, position: float, angle: float, rng: np.random.Generator) -> Float[Array, "k 4 4"]:
@@ -103,6 +108,7 @@ def grade(
     tried = hold(displaced(closed, trials.error), np.tile(trials.friction, n), target, gripper, config, device)
     margin = np.where(tried.held, tried.margin, LOST_MARGIN).reshape(n, k).mean(axis=-1)
     held_share = tried.held.reshape(n, k).mean(axis=-1)
+    contacts = tried.contacts.reshape(n, k).mean(axis=-1)
     if standing is None:
         standing = standing_margin(closed, trials, target, gripper, config, device)
     return Graded(
@@ -113,8 +119,9 @@ def grade(
         margin=margin,
         held_share=held_share,
         standing=standing,
+        contacts=contacts,
         tries=np.full(n, k),
-        confidence=confidence(margin, held_share, loss, standing),
+        confidence=confidence(margin, held_share, loss, standing, contacts),
     )
 
 
@@ -135,10 +142,11 @@ def displaced(candidates: Candidates, errors: Float[Array, "k 4 4"]) -> Candidat
 
 
 def clear_share(candidates: Candidates, trials: Trials, space: Space) -> Float[Array, "n"]:
-    """Share of the ways in that meet nothing, as far as every so manieth point tells."""
+    """Share of the arrivals of free candidates that meet nothing, as far as every so manieth point tells."""
     poses = displaced(candidates, trials.way_in)
     clearance = np.minimum(point_clearance(poses, space, space.coarse), table_clearance(poses, space))
-    return (clearance > 0).reshape(len(candidates), len(trials.way_in)).mean(axis=-1)
+    is_clear = (clearance > trials.clearance).reshape(len(candidates), len(trials.way_in))
+    return 1 - trials.inexact * (1 - is_clear.mean(axis=-1))
 
 
 def pooled(a: Graded, b: Graded) -> Graded:
@@ -146,8 +154,10 @@ def pooled(a: Graded, b: Graded) -> Graded:
     share = a.tries / (a.tries + b.tries)
     margin = share * a.margin + (1 - share) * b.margin
     held_share = share * a.held_share + (1 - share) * b.held_share
-    sure = confidence(margin, held_share, a.final_loss, a.standing)
-    return replace(a, margin=margin, held_share=held_share, tries=a.tries + b.tries, confidence=sure)
+    contacts = share * a.contacts + (1 - share) * b.contacts
+    sure = confidence(margin, held_share, a.final_loss, a.standing, contacts)
+    tries = a.tries + b.tries
+    return replace(a, margin=margin, held_share=held_share, contacts=contacts, tries=tries, confidence=sure)
 
 
 def stopped(graded: Graded, target: Touchable, gripper: Gripper, config: GripConfig, device: str) -> Graded:
@@ -171,10 +181,14 @@ def strength(gripper: Gripper) -> float:
 
 
 def confidence(
-    margin: Float[Array, "n"], held_share: Float[Array, "n"], loss: Float[Array, "n"], standing: Float[Array, "n"]
+    margin: Float[Array, "n"],
+    held_share: Float[Array, "n"],
+    loss: Float[Array, "n"],
+    standing: Float[Array, "n"],
+    contacts: Float[Array, "n"],
 ) -> Float[Array, "n"]:
     """Share of grasps with these figures that hold: a logistic model, fitted by `bench/calibration.py`."""
     offset, *weights = CALIBRATION
     root_loss = np.sqrt(np.maximum(loss, 0.0)) / LOSS_SCALE
-    terms = np.stack([margin, held_share, root_loss, standing], axis=-1)
+    terms = np.stack([margin, held_share, root_loss, standing, contacts], axis=-1)
     return 1 / (1 + np.exp(-(offset + terms @ np.array(weights))))

@@ -21,7 +21,7 @@ from graspmatch.planner.path import Reach, aimed, keep_executable
 from graspmatch.planner.pinch import pinch_seeds
 from graspmatch.planner.rank import rank
 from graspmatch.planner.recording import Recording
-from graspmatch.planner.refine import Judge, joined, judge_of, refine
+from graspmatch.planner.refine import Judge, joined, judge_of, refine, roomiest
 from graspmatch.planner.seed import pose_seeds, seed_poses
 from graspmatch.planner.stopwatch import Stopwatch
 from graspmatch.planner.tally import Tally
@@ -108,6 +108,7 @@ def candidates_from(
     watch.lap("close")
     count = max(config.grip.finalists, config.ranking.count)
     closed = foremost(closed, count, judge.trials, space, judge.target, config.grip, tally)
+    closed = roomiest(closed, judge)  # as wide as there is room for
     watch.lap("screen")
     graded = judge.grade(closed, judge.first)  # where the fingers push the object, what they hold there, how surely
     watch.lap("grade")

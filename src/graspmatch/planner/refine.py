@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from graspmatch.config import PlannerConfig
 from graspmatch.geometry import se3
-from graspmatch.planner.avoid import Space, point_clearance, table_clearance_of_way
+from graspmatch.planner.avoid import Space, point_clearance, table_clearance_of_way, wider_preshapes
 from graspmatch.planner.candidates import Candidates, Closed, Free, Graded
 from graspmatch.planner.close import contact_joints, meet_object
 from graspmatch.planner.grade import Trials, clear_share, draw_trials, grade, pooled
@@ -21,6 +22,7 @@ from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper
 
 Array = np.ndarray
+C = TypeVar("C", bound=Candidates)
 
 CLEAR_ENOUGH = 0.99
 """Share of the wanted clearance that counts as it."""
@@ -66,6 +68,14 @@ def judge_of(
     return Judge(gripper, space, problem, target, way, draw_trials(config.grip, config.seed), config, device)
 
 
+def roomiest(closed: Closed, judge: Judge) -> Closed:
+    """Each candidate in the preshape, its own or a wider one, in which the hand most often meets nothing on its way."""
+    tried, origin = closing_on(*free_neighbours(*opened(closed, judge), judge), judge)
+    every = joined(closed, tried)
+    share, owner = clear_share(every, judge.trials, judge.space), np.concatenate([np.arange(len(closed)), origin])
+    return every.select(best_of_each(share, owner))
+
+
 def refine(graded: Graded, judge: Judge) -> Graded:
     """Confirm the surest and search around them; around the next as well, while none of them is sure enough."""
     config = judge.config.refining
@@ -95,12 +105,8 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
         tried, origin = free_neighbours(tried, origin, judge)
         may_help = clear_share(tried, judge.trials, judge.space) > current.sureness[origin]  # none is surer than that
         tried, origin = tried.select(may_help), origin[may_help]
-        keep, fraction = meet_object(tried, judge.space, judge.config.closing, Tally(len(tried)))
-        tried, origin, fraction = tried.select(keep), origin[keep], fraction[keep]
-        joints = contact_joints(tried.preshape, fraction, judge.gripper)
-        found = judge.grade(
-            Closed(**vars(tried), closing_fraction=fraction, grasp_joints=joints), few, current.standing[origin]
-        )
+        closed, origin = closing_on(tried, origin, judge)
+        found = judge.grade(closed, few, current.standing[origin])
         current, improved = surest(current, found, origin)
         scale = np.where(improved, scale, scale / 2)
     refined, _ = surest(graded.select(best), judge.grade(current.as_closed(), slice(None)), np.arange(len(best)))
@@ -136,7 +142,21 @@ def neighbours(graded: Graded, scale: Float[Array, "n"], judge: Judge) -> tuple[
     return replace(tried, T_world_gripper=tried.T_world_gripper @ move), origin
 
 
-def free_neighbours(tried: Graded, origin: Int[Array, "m"], judge: Judge) -> tuple[Free, Int[Array, "k"]]:
+def opened(closed: Closed, judge: Judge) -> tuple[Closed, Int[Array, "m"]]:
+    """Each candidate in every wider preshape in turn, and which candidate each is of."""
+    wider = wider_preshapes(judge.gripper)
+    preshape, origin = closed.preshape, np.arange(len(closed))
+    preshapes, origins = [preshape[:0]], [origin[:0]]
+    while judge.config.collision.may_open and len(origin):
+        preshape = wider[preshape]
+        preshape, origin = preshape[preshape >= 0], origin[preshape >= 0]
+        preshapes.append(preshape)
+        origins.append(origin)
+    every = np.concatenate(origins)
+    return replace(closed.select(every), preshape=np.concatenate(preshapes)), every
+
+
+def free_neighbours(tried: Closed, origin: Int[Array, "m"], judge: Judge) -> tuple[Free, Int[Array, "k"]]:
     """Those whose hand and way in keep their clearance, and that can go all of their way."""
     table = table_clearance_of_way(tried, judge.space)
     above = np.flatnonzero(table > CLEAR_ENOUGH * judge.config.collision.clearance)
@@ -148,14 +168,25 @@ def free_neighbours(tried: Graded, origin: Int[Array, "m"], judge: Judge) -> tup
     return Free(**{entry.name: getattr(free, entry.name) for entry in fields(Free)}), origin[is_free]
 
 
+def closing_on(tried: Free, origin: Int[Array, "m"], judge: Judge) -> tuple[Closed, Int[Array, "k"]]:
+    """Those whose fingers meet the object."""
+    keep, fraction = meet_object(tried, judge.space, judge.config.closing, Tally(len(tried)))
+    tried, fraction = tried.select(keep), fraction[keep]
+    joints = contact_joints(tried.preshape, fraction, judge.gripper)
+    return Closed(**vars(tried), closing_fraction=fraction, grasp_joints=joints), origin[keep]
+
+
 def surest(current: Graded, found: Graded, origin: Int[Array, "m"]) -> tuple[Graded, Array]:
     """For each candidate the surest of itself and its neighbours, and whether that is a neighbour."""
-    n = len(current)
-    sureness = np.concatenate([current.sureness, found.sureness])
-    owner = np.concatenate([np.arange(n), origin])
-    order = np.lexsort((np.arange(len(owner)), -sureness, owner))
-    first = order[np.unique(owner[order], return_index=True)[1]]
-    return joined(current, found).select(first), first >= n
+    both = joined(current, found)
+    first = best_of_each(both.sureness, np.concatenate([np.arange(len(current)), origin]))
+    return both.select(first), first >= len(current)
+
+
+def best_of_each(worth: Float[Array, "n"], owner: Int[Array, "n"]) -> Int[Array, "k"]:
+    """Index of the first of the best of each owner, in the owners' order."""
+    order = np.lexsort((-worth, owner))  # stable
+    return order[np.unique(owner[order], return_index=True)[1]]
 
 
 def put(graded: Graded, index: Int[Array, "k"], by: Graded) -> Graded:
@@ -165,7 +196,7 @@ def put(graded: Graded, index: Int[Array, "k"], by: Graded) -> Graded:
     return joined(graded, by).select(order)
 
 
-def joined(a: Graded, b: Graded) -> Graded:
+def joined(a: C, b: C) -> C:
     """Both, one after the other."""
-    both = {entry.name: (getattr(a, entry.name), getattr(b, entry.name)) for entry in fields(Graded)}
-    return Graded(**{name: np.concatenate(pair) for name, pair in both.items()})
+    both = {entry.name: (getattr(a, entry.name), getattr(b, entry.name)) for entry in fields(a)}
+    return type(a)(**{name: np.concatenate(pair) for name, pair in both.items()})

@@ -173,8 +173,8 @@ def object_sets(names: Sequence[str]) -> dict[str, list[ObjectSource]]:
 def planner_for(count: int) -> PlannerConfig:
     """The planner, asked for so many grasps, all of them after all trials."""
     config = PlannerConfig()
-    most = config.seeding.batches * max(config.grip.finalists, count)
-    grip = replace(config.grip, leaders=most)  # more than are asked for, as some are too like better ones
+    every = max(config.grip.finalists, count)  # more than are asked for, as some are too like better ones
+    grip = replace(config.grip, leaders=every)
     return replace(config, ranking=replace(config.ranking, count=count), grip=grip)
 
 

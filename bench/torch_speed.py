@@ -1,4 +1,4 @@
-"""Our matching beside the same method in plain PyTorch: same scenes, same seeds, same starts, same choices.
+"""Our matching beside the same method in plain PyTorch: same scenes, same seeds, same starts.
 
 Matching time is that of seeds, thinned clouds, upload (for ours the nearest-neighbour field too) and Algorithm 1; plan
 time is that of the whole way to ranked grasps. Both are warm and on all cores: run this on an idle machine, since the

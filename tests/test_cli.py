@@ -152,15 +152,25 @@ def test_short_forms_are_the_same_options() -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX systems")
-def test_output_that_nobody_reads_on_is_no_error() -> None:
+@pytest.mark.parametrize("words", [["bench", "--help"], ["grippers"], ["grippers", "--json"]])
+def test_output_that_nobody_reads_on_is_no_error(words: list[str]) -> None:
     reading, writing = os.pipe()
     os.close(reading)
-    done = subprocess.run(
-        [sys.executable, "-m", "graspmatch.apps.cli", "bench", "--help"], stdout=writing, stderr=subprocess.PIPE
-    )
+    done = subprocess.run([sys.executable, "-m", "graspmatch.apps.cli", *words], stdout=writing, stderr=subprocess.PIPE)
     os.close(writing)
     assert done.stderr == b""
     assert done.returncode == 141
+
+
+def test_a_pipe_of_ours_that_breaks_is_a_fault() -> None:
+    code = (
+        "import sys\nfrom graspmatch.apps import cli\n"
+        "def run(command):\n    raise BrokenPipeError('a worker died')\n"
+        "cli.run = run\nsys.exit(cli.main(['grippers']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "a worker died" in done.stderr
 
 
 def test_help_is_fast_and_loads_nothing_heavy() -> None:

@@ -148,6 +148,23 @@ def test_without_errors_every_trial_is_the_plan(franka, judge):
     np.testing.assert_allclose(graded.margin, np.where(planned.held, planned.margin, LOST_MARGIN))
     assert 0 < np.sum(clearance > 0) < n
     np.testing.assert_array_equal(graded.clear_share, clearance > 0)
+    np.testing.assert_array_equal(graded.contacts, planned.contacts)
+
+
+def test_an_arrival_keeps_its_clearance_and_some_are_inexact(judge):
+    closed = around(judge, 8)
+    unmoved = np.tile(np.eye(4), (2, 1, 1))
+    clearance = np.minimum(
+        point_clearance(closed, judge.space, judge.space.coarse), table_clearance(closed, judge.space)
+    )
+    wanted = float(np.sort(clearance)[4] + np.sort(clearance)[5]) / 2
+    trials = replace(judge.trials, way_in=unmoved, clearance=wanted, inexact=1.0)
+    np.testing.assert_array_equal(clear_share(closed, trials, judge.space), clearance > wanted)
+    inexact = clear_share(closed, replace(judge.trials, inexact=1.0), judge.space)
+    assert inexact.min() < 0.9
+    some = clear_share(closed, replace(judge.trials, inexact=0.25), judge.space)
+    np.testing.assert_allclose(some, 0.75 + 0.25 * inexact)
+    np.testing.assert_array_equal(clear_share(closed, replace(judge.trials, inexact=0.0), judge.space), 1.0)
 
 
 def test_a_hand_that_barely_fits_is_less_sure_than_one_with_room(franka, judge):
@@ -192,7 +209,7 @@ def test_the_foremost_hold_and_the_tally_adds_up(franka, judge):
     assert not held[1].all()
 
 
-def test_a_hand_with_room_arrives_as_wide_as_it_can(franka, judge):
+def test_a_hand_arrives_in_the_wider_preshape_that_has_more_room(franka, judge):
     closed = around(judge, 6)
     names = [preshape.name for preshape in franka.preshapes]
     narrow = replace(closed, preshape=np.full(6, names.index("close_30")))  # 50 mm for an object of 40 mm

@@ -63,9 +63,10 @@ def test_only_directions_in_the_cone_are_kept(toy):
     np.testing.assert_array_equal(keeps_direction(hands, way), tilts <= 0.5)
 
 
-def test_starts_are_turned_into_the_cone_about_the_object(toy):
+@pytest.mark.parametrize("along", [(0.3, 0.1, -1.0), (0.0, 0.0, 1.0)])
+def test_starts_are_turned_into_the_cone_about_the_object(toy, along):
     scene = scene_with()
-    way = way_in(toy, scene, PathConfig(approach_along=(0.3, 0.1, -1.0), approach_angle=0.4))
+    way = way_in(toy, scene, PathConfig(approach_along=along, approach_angle=0.4 if along[2] < 0 else 2.0))
     starts = seed_poses(scene, toy, SeedingConfig(), np.random.default_rng(0))
     turned = aimed(starts, way, scene.centre_of_mass)
     inside = keeps_direction(starts, way)

@@ -49,8 +49,8 @@ cache: twice as fast as a few thousand."""
 
 
 def torch_plan(scene: Scene, gripper: Gripper, seed: int, *, device: str = "cpu") -> GraspSet:
-    """`graspmatch.planner.plan.plan` with the defaults, but without refining; matching and its loss by PyTorch, on as
-    many threads."""
+    """`graspmatch.planner.plan.plan` with the defaults, but without opening and refining; matching and its loss by
+    PyTorch, on as many threads."""
     config, device = PlannerConfig(seed=seed, device=device), resolve_device(device)
     torch.set_num_threads(thread_count())
     rng = np.random.default_rng(seed)

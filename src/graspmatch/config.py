@@ -109,7 +109,7 @@ class CollisionConfig:
     largest_retreat: float = 0.05
     """How far a match may be backed off along its approach until it is free [m]."""
     may_open: bool = True
-    """Whether a match that is not free may be approached in a wider preshape."""
+    """Whether a hand may arrive in a wider preshape than was matched: to get free, or for more room."""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ def check(config: PlannerConfig) -> None:
         ("grip.ways_in", config.grip.ways_in, 1, 1e4),
         ("grip.way_position_error", config.grip.way_position_error, 0, 0.1),
         ("grip.way_angle_error", config.grip.way_angle_error, 0, 1),
-        ("grip.way_clearance", config.grip.way_clearance, -0.1, 0.1),
+        ("grip.way_clearance", config.grip.way_clearance, 0, 0.02),
         ("grip.inexact", config.grip.inexact, 0, 1),
         ("grip.points", config.grip.points, 1, 1e6),
         ("grip.reachable_points", config.grip.reachable_points, 1, 1e6),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, TextIO
 
 import tyro
 
@@ -52,8 +53,10 @@ def run_words(argv: Sequence[str]) -> int:
     command = parse(argv)
     try:
         return run(command)
-    except BrokenPipeError:
-        raise
+    except BrokenPipeError as error:
+        if not _is_read(sys.stdout):
+            raise
+        return _failed(command, f"unexpected {type(error).__name__}: {error} (--debug shows where)", status=1)
     except GraspmatchError as error:
         return _failed(command, " ".join(str(error).split()), status=2)
     except KeyboardInterrupt:
@@ -136,6 +139,15 @@ def _long_form(word: str) -> str:
     """An option by its full name."""
     name, equals, value = word.partition("=")
     return SHORT_FORMS.get(name, name) + equals + value
+
+
+def _is_read(stream: TextIO) -> bool:
+    """Whether somebody is at the other end of it, as far as the system can tell."""
+    if not hasattr(select, "poll"):
+        return False
+    poll = select.poll()
+    poll.register(stream, 0)
+    return not any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
 
 
 def _failed(command: Parsed, message: str, *, status: int) -> int:

@@ -11,6 +11,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 
+class PipeConsole(Console):
+    """A console that leaves a closed pipe to its caller, not to a status of its own."""
+
+    def on_broken_pipe(self) -> None:
+        raise  # called where the error is handled
+
+
 @dataclass(frozen=True)
 class Speech:
     """Where text for people goes: to stdout, to stderr where stdout is for JSON, or nowhere."""
@@ -22,7 +29,7 @@ class Speech:
         """Print text or a table."""
         stream = sys.stderr if self.as_json else sys.stdout
         # A log file has room for whole tables; a terminal knows its own width.
-        console = Console(file=stream, quiet=self.quiet, width=None if stream.isatty() else 140)
+        console = PipeConsole(file=stream, quiet=self.quiet, width=None if stream.isatty() else 140)
         console.print(what, highlight=False, markup=False, soft_wrap=isinstance(what, str))
 
     @property

@@ -90,7 +90,7 @@ class Graded(Closed):
 
     @property
     def sureness(self) -> Float[Array, "n"]:
-        """Share of such grasps that hold though the hand comes a little displaced."""
+        """Share of such grasps that arrive and hold, though some come a little displaced."""
         return self.clear_share * self.confidence
 
     def as_closed(self) -> Closed:

@@ -82,8 +82,8 @@ def foremost(
     config: GripConfig,
     tally: Tally,
 ) -> Closed:
-    """The most promising distinct candidates: those that hold best where they are, with middling friction, and meet
-    nothing on their way in when they are displaced a little."""
+    """The most promising distinct candidates: those that hold best where they are, with middling friction, the better
+    the more of their arrivals are clear."""
     held = hold(closed, np.full(len(closed), middling(config)), target, space.gripper, config, space.device)
     share = clear_share(closed, trials, space)
     worth = np.where(held.held, held.margin, held.margin - np.sqrt(closed.loss))  # lost: those that match best

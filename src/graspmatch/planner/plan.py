@@ -108,7 +108,7 @@ def candidates_from(
     watch.lap("close")
     count = max(config.grip.finalists, config.ranking.count)
     closed = foremost(closed, count, judge.trials, space, judge.target, config.grip, tally)
-    closed = roomiest(closed, judge)  # as wide as there is room for
+    closed = roomiest(closed, judge)  # in wider preshapes, where that makes room
     watch.lap("screen")
     graded = judge.grade(closed, judge.first)  # where the fingers push the object, what they hold there, how surely
     watch.lap("grade")

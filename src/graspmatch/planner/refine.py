@@ -70,7 +70,10 @@ def judge_of(
 
 def roomiest(closed: Closed, judge: Judge) -> Closed:
     """Each candidate in the preshape, its own or a wider one, in which the hand most often meets nothing on its way."""
-    tried, origin = closing_on(*free_neighbours(*opened(closed, judge), judge), judge)
+    tried, origin = opened(closed, judge)
+    own, share = (clear_share(some, judge.trials, judge.space) for some in (closed, tried))
+    tried, origin = tried.select(share > own[origin]), origin[share > own[origin]]
+    tried, origin = closing_on(*free_of(tried, origin, judge), judge)
     every = joined(closed, tried)
     share, owner = clear_share(every, judge.trials, judge.space), np.concatenate([np.arange(len(closed)), origin])
     return every.select(best_of_each(share, owner))
@@ -102,7 +105,7 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
     current, scale = judge.grade(graded.select(best).as_closed(), few, graded.standing[best]), np.ones(len(best))
     for _ in range(config.rounds):
         tried, origin = neighbours(current, scale, judge)
-        tried, origin = free_neighbours(tried, origin, judge)
+        tried, origin = free_of(tried, origin, judge)
         may_help = clear_share(tried, judge.trials, judge.space) > current.sureness[origin]  # none is surer than that
         tried, origin = tried.select(may_help), origin[may_help]
         closed, origin = closing_on(tried, origin, judge)
@@ -156,7 +159,7 @@ def opened(closed: Closed, judge: Judge) -> tuple[Closed, Int[Array, "m"]]:
     return replace(closed.select(every), preshape=np.concatenate(preshapes)), every
 
 
-def free_neighbours(tried: Closed, origin: Int[Array, "m"], judge: Judge) -> tuple[Free, Int[Array, "k"]]:
+def free_of(tried: Closed, origin: Int[Array, "m"], judge: Judge) -> tuple[Free, Int[Array, "k"]]:
     """Those whose hand and way in keep their clearance, and that can go all of their way."""
     table = table_clearance_of_way(tried, judge.space)
     above = np.flatnonzero(table > CLEAR_ENOUGH * judge.config.collision.clearance)

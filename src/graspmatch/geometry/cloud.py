@@ -1,4 +1,4 @@
-"""Point clouds as plain arrays: thinning, specks, normals. Every result is independent of the order of the input."""
+"""Point clouds as plain arrays: thinning, specks, normals, hulls; results do not depend on the order of the input."""
 
 from __future__ import annotations
 
@@ -189,3 +189,13 @@ def narrowest_width(points: Float[np.ndarray, "n 3"]) -> float:
     except QhullError:
         return 0.0
     return float(np.ptp(points[hull.vertices] @ hull.equations[:, :3].T, axis=0).min())
+
+
+def hull_corners(points: Float[Array, "n 3"]) -> Float[Array, "m 3"]:
+    """The corners of the convex hull, which a plane meets first; of what is flat or tiny all distinct points."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:
+        return np.unique(points, axis=0)

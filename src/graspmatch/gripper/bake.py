@@ -8,11 +8,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 import warp as wp
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, KDTree, QhullError
+from scipy.spatial import KDTree
 
 from graspmatch.config import BakingConfig
 from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
+from graspmatch.geometry.cloud import hull_corners
 from graspmatch.geometry.grid import Grid
 from graspmatch.geometry.mesh import TriangleMesh, concatenate, transformed
 from graspmatch.gripper.card import Posture
@@ -57,14 +58,6 @@ def link_field(mesh: TriangleMesh, config: BakingConfig) -> Grid:
     x = wp.array(nodes, dtype=wp.vec3, device=DEVICE)
     launch(warp_bake.mesh_distance, len(nodes), [device_mesh.id, x], [distance], DEVICE)
     return Grid(origin, config.link_spacing, distance.numpy().reshape(shape))
-
-
-def hull_corners(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "v 3"]:
-    """The corners of the convex hull; of a flat or tiny body all its points."""
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:
-        return np.unique(points, axis=0)
 
 
 def bake_preshape(

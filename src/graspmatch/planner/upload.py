@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float, Int
 
+from graspmatch.geometry.cloud import hull_corners
 from graspmatch.geometry.grid import Grid
 from graspmatch.kernels import warp_match
 from graspmatch.kernels.fields import in_blocks, pack_levels, stack_fields
@@ -98,16 +99,6 @@ def swept_corners(preshapes: tuple[Preshape, ...]) -> Float[np.ndarray, "p f v 3
     hulls = [hull_corners(swept.reshape(-1, 3)) for preshape in preshapes for swept in preshape.finger_outlines]
     corners = padded(hulls)
     return corners.reshape(len(preshapes), -1, *corners.shape[1:])
-
-
-def hull_corners(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """The points that are corners of their convex hull: a plane meets one of them first; all where they are flat."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:
-        return points
 
 
 def padded(clouds: list[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "n m 3"]:

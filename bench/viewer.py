@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graspmatch.apps.commands import load_hand
+from graspmatch.apps.hand import load_hand
 from graspmatch.apps.speech import Speech
 from graspmatch.apps.viewer.command import page_of
 from graspmatch.apps.viewer.page import Page

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from graspmatch.apps.commands import Hand, load_hand
+from graspmatch.apps.hand import Hand, load_hand
 from graspmatch.apps.picture import picture_of_grasps
 from graspmatch.apps.speech import Speech
 from graspmatch.config import PlannerConfig

@@ -6,7 +6,7 @@ python examples/view.py [--seconds 60]
 import argparse
 import time
 
-from graspmatch.apps.commands import load_hand
+from graspmatch.apps.hand import load_hand
 from graspmatch.apps.speech import Speech
 from graspmatch.apps.viewer.command import page_of
 from graspmatch.apps.viewer.shown import shown_of

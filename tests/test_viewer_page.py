@@ -10,7 +10,7 @@ import pytest
 from trimesh import creation
 
 from browser import Visit, browsing
-from graspmatch.apps.commands import load_hand
+from graspmatch.apps.hand import load_hand
 from graspmatch.apps.speech import Speech
 from graspmatch.config import PlannerConfig, RankingConfig
 from graspmatch.scene.scene import Scene

@@ -4,69 +4,26 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-from jaxtyping import Float
 from rich import box
 from rich.table import Table
 
 from graspmatch.apps import report
 from graspmatch.apps.capture import read_scene
+from graspmatch.apps.hand import Hand, hand_of, load_hand
 from graspmatch.apps.options import Plan
+from graspmatch.apps.outputs import NOT_FOUND, Outputs, write_all
 from graspmatch.apps.robot import arm_of
 from graspmatch.apps.seeds import Start, start_of
 from graspmatch.apps.speech import Speech
-from graspmatch.config import BakingConfig, PlannerConfig, fast
+from graspmatch.config import PlannerConfig, fast
 from graspmatch.errors import GraspmatchError
-from graspmatch.formats.files import check_place, write_atomically
-from graspmatch.formats.registry import write_grasps, writer_of
-from graspmatch.ranges import check_ranges
 from graspmatch.scene.scene import Scene
-from graspmatch.types import GraspSet, Gripper
 
 if TYPE_CHECKING:
     from graspmatch.planner.arm import Arm
-
-NOT_FOUND = 3
-"""Exit status when there is no grasp."""
-
-PICTURED = 3
-"""A picture shows the hand at so many of the best grasps."""
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """The files to write."""
-
-    grasps: tuple[Path, ...] = ()
-    picture: Path | None = None
-
-    @property
-    def all(self) -> tuple[Path, ...]:
-        """Every one of them."""
-        return (*self.grasps, self.picture) if self.picture else self.grasps
-
-    def check(self) -> None:
-        """Refuse what cannot be written, before anything is computed."""
-        for path in self.grasps:
-            writer_of(path)
-        if self.picture and self.picture.suffix.lower() != ".png":
-            raise GraspmatchError(f"Cannot write {self.picture}: a picture has the suffix .png.")
-        for path in self.all:
-            check_place(path)
-
-
-@dataclass(frozen=True)
-class Hand:
-    """A gripper, and where its links are."""
-
-    gripper: Gripper
-    link_poses: Callable[[Float[np.ndarray, "d"]], Float[np.ndarray, "l 4 4"]]
-    """Driven joint values to the poses of `gripper.links` in the gripper frame."""
 
 
 def plan_command(command: Plan, table: float | Literal["auto"] | None, say: Speech) -> int:
@@ -89,15 +46,6 @@ def plan_command(command: Plan, table: float | Literal["auto"] | None, say: Spee
     hand = hand_of(command, config, say)
     start, arm = start_of(command.seeds, hand.gripper, config), arm_of(command.robot, hand.gripper)
     return plan_and_report(scene, hand, start, say, outputs, arm=arm, view=command.view)
-
-
-def hand_of(command: Plan, config: PlannerConfig, say: Speech) -> Hand:
-    """The hand of a plan."""
-    baking = BakingConfig()
-    if command.approach_distance is not None:
-        check_ranges([("approach_distance", command.approach_distance, 0.01, 0.5)])
-        baking = replace(baking, approach_distance=command.approach_distance)
-    return load_hand(command.gripper, command.description, config, say, baking)
 
 
 def demo(folder: Path, config: PlannerConfig, say: Speech) -> int:
@@ -144,23 +92,6 @@ def list_grippers(*, as_json: bool) -> int:
         table.add_row(card.name, card.title, *map(str, numbers))
     Speech().show(table)
     return 0
-
-
-def load_hand(
-    name: str, description: Path | None, config: PlannerConfig, say: Speech, baking: BakingConfig | None = None
-) -> Hand:
-    """The hand, once it is known that there is one of this name and a device to plan on."""
-    from graspmatch.gripper import kinematics
-    from graspmatch.gripper.load import load_gripper
-    from graspmatch.gripper.zoo import card_path
-    from graspmatch.kernels.launch import resolve_device
-
-    card = card_path(name)
-    resolve_device(config.device)
-    with say.progress(f"Loading {name} (the first time, its preshapes are computed)"):
-        gripper = load_gripper(name, description=description, baking=baking)
-        model = kinematics.load_hand(card, description)
-    return Hand(gripper, lambda joints: kinematics.pose_links(model, joints))
 
 
 def plan_and_report(
@@ -211,20 +142,3 @@ def plan_and_report(
     elif say.as_json:
         print(json.dumps(record, allow_nan=False))
     return 0 if len(grasps) else NOT_FOUND
-
-
-def write_all(scene: Scene, hand: Hand, grasps: GraspSet, say: Speech, outputs: Outputs) -> None:
-    """Write the grasps and their picture."""
-    for path in outputs.grasps:
-        write_grasps(grasps, path, hand.gripper)
-        say.show(f"Wrote {path}")
-    if outputs.picture is None:
-        return
-    from graspmatch.apps.picture import picture_of_grasps
-
-    def draw(temporary: Path) -> None:
-        picture_of_grasps(scene, hand.gripper, grasps, temporary, link_poses=hand.link_poses, count=PICTURED)
-
-    with say.progress("Drawing"):
-        write_atomically(outputs.picture, draw)
-    say.show(f"Wrote {outputs.picture}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from graspmatch.apps.commands import Hand, load_hand
+from graspmatch.apps.hand import Hand, load_hand
 from graspmatch.apps.speech import Speech
 from graspmatch.config import PlannerConfig
 from graspmatch.errors import GraspmatchError

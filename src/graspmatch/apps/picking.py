@@ -13,8 +13,9 @@ from rich.table import Table as TextTable
 
 from graspmatch.apps import report
 from graspmatch.apps.capture import read_scenes
-from graspmatch.apps.commands import NOT_FOUND, Hand, Outputs, hand_of, write_all
+from graspmatch.apps.hand import Hand, hand_of
 from graspmatch.apps.options import Plan, Seeds
+from graspmatch.apps.outputs import NOT_FOUND, Outputs, write_all
 from graspmatch.apps.robot import arm_of
 from graspmatch.apps.speech import Speech
 from graspmatch.config import PlannerConfig

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from PIL import Image
 
-from graspmatch.apps.commands import Hand
 from graspmatch.apps.grasp_file import hand_and_grasps
+from graspmatch.apps.hand import Hand
 from graspmatch.apps.options import Report
 from graspmatch.apps.speech import Speech
 from graspmatch.config import PlannerConfig

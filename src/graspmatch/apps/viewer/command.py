@@ -12,8 +12,8 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from graspmatch.apps.commands import Hand, load_hand
 from graspmatch.apps.grasp_file import hand_and_grasps
+from graspmatch.apps.hand import Hand, load_hand
 from graspmatch.apps.options import View
 from graspmatch.apps.speech import Speech
 from graspmatch.config import PlannerConfig

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from jaxtyping import Float, UInt8
 
-from graspmatch.apps.commands import Hand
+from graspmatch.apps.hand import Hand
 from graspmatch.apps.viewer.palette import HAND
 from graspmatch.apps.viewer.stage import creased_mesh
 from graspmatch.geometry.mesh import TriangleMesh

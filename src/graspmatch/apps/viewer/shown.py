@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from graspmatch.apps.commands import Hand
+from graspmatch.apps.hand import Hand
 from graspmatch.apps.viewer.contacts import Contacts, contacts_of
 from graspmatch.apps.viewer.motion import completed
 from graspmatch.config import PlannerConfig

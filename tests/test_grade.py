@@ -171,12 +171,13 @@ def test_a_hand_that_barely_fits_is_less_sure_than_one_with_room(franka, judge):
     centred = around(judge, 1)
     aside = replace(centred, T_world_gripper=centred.T_world_gripper.copy())
     aside.T_world_gripper[:, :3, 3] += 0.019 * (centred.T_world_gripper[:, :3, :3] @ franka.closing)  # of 20 mm of room
-    room, tight = (judge.grade(closed, judge.first) for closed in (centred, aside))
+    inexact = replace(judge, trials=replace(judge.trials, inexact=1.0))
+    room, tight = (inexact.grade(closed, judge.first) for closed in (centred, aside))
     assert room.clear_share[0] > 0.9
-    assert 0.75 < tight.clear_share[0] < 0.95  # three arrivals in four are as planned
-    np.testing.assert_allclose(tight.clear_share, clear_share(aside, judge.trials, judge.space))
+    assert 0.2 < tight.clear_share[0] < 0.8
+    np.testing.assert_allclose(tight.clear_share, clear_share(aside, inexact.trials, judge.space))
     np.testing.assert_array_equal(tight.sureness, tight.clear_share * tight.confidence)
-    assert tight.sureness[0] < room.sureness[0]
+    assert tight.sureness[0] < 0.9 * room.sureness[0]
 
 
 def test_fingers_end_where_they_hold_the_object(franka, judge):

@@ -53,15 +53,13 @@ def run_words(argv: Sequence[str]) -> int:
     command = parse(argv)
     try:
         return run(command)
-    except BrokenPipeError as error:
-        if not _is_read(sys.stdout):
-            raise
-        return _failed(command, f"unexpected {type(error).__name__}: {error} (--debug shows where)", status=1)
     except GraspmatchError as error:
         return _failed(command, " ".join(str(error).split()), status=2)
     except KeyboardInterrupt:
         return _failed(command, "interrupted", status=130)
     except Exception as error:
+        if isinstance(error, BrokenPipeError) and not _is_read(sys.stdout):
+            raise
         message = " ".join(f"{type(error).__name__}: {error}".split())
         return _failed(command, f"unexpected {message} (--debug shows where)", status=1)
 

@@ -1,4 +1,5 @@
-"""The best grasps moved a little, as long as they get surer and stay free: hands get centred, contacts flush."""
+"""The best grasps opened for room, then moved a little, as long as they get surer and stay free: hands get centred,
+contacts flush."""
 
 from __future__ import annotations
 
@@ -72,11 +73,10 @@ def roomiest(closed: Closed, judge: Judge) -> Closed:
     """Each candidate in the preshape, its own or a wider one, in which the hand most often meets nothing on its way."""
     tried, origin = opened(closed, judge)
     own, share = (clear_share(some, judge.trials, judge.space) for some in (closed, tried))
-    tried, origin = tried.select(share > own[origin]), origin[share > own[origin]]
-    tried, origin = closing_on(*free_of(tried, origin, judge), judge)
-    every = joined(closed, tried)
-    share, owner = clear_share(every, judge.trials, judge.space), np.concatenate([np.arange(len(closed)), origin])
-    return every.select(best_of_each(share, owner))
+    better = np.flatnonzero(share > own[origin])
+    found, index = closing_on(*free_of(tried.select(better), better, judge), judge)
+    owner = np.concatenate([np.arange(len(closed)), origin[index]])
+    return joined(closed, found).select(best_of_each(np.concatenate([own, share[index]]), owner))
 
 
 def refine(graded: Graded, judge: Judge) -> Graded:

@@ -32,8 +32,13 @@ def stack_fields(fields: Sequence[grids.Grid], device: str) -> warp_fields.Field
 
 def pack_levels(fields: Sequence[grids.Grid], step: float, device: str) -> wp.array:
     """The bytes of `warp_blocks` for a stack of these fields, four to a word: what the lowest corner of a cell says."""
-    levels = np.concatenate([cell_levels(np.asarray(field.values), step).ravel() for field in fields])
-    return wp.array(np.pad(levels, (0, -len(levels) % 4)).view("<i4"), dtype=wp.int32, device=device)
+    return pack_bytes([cell_levels(np.asarray(field.values), step) for field in fields], device)
+
+
+def pack_bytes(grids: Sequence[UInt8[np.ndarray, "nx ny nz"]], device: str) -> wp.array:
+    """A byte for each cell of a stack of grids, four to a word."""
+    values = np.concatenate([grid.ravel() for grid in grids])
+    return wp.array(np.pad(values, (0, -len(values) % 4)).view("<i4"), dtype=wp.int32, device=device)
 
 
 def cell_levels(values: Float[np.ndarray, "nx ny nz"], step: float) -> UInt8[np.ndarray, "nx ny nz"]:

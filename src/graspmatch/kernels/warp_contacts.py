@@ -9,6 +9,7 @@ level sets are the finger's surface on its way.
 import warp as wp
 
 from graspmatch.kernels.warp_avoid import arrival_at
+from graspmatch.kernels.warp_blocks import BLOCK, lowest_bit, points_below
 from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_inside, low_node, node_units
 from graspmatch.kernels.warp_wrench import Contacts
 
@@ -59,8 +60,6 @@ class Hand:
     """Signed distance of the open hand, about its pivot."""
     pivot: wp.array(dtype=wp.vec3)
     approach: wp.vec3
-    reach: FieldStack
-    """One where a point can be touched, else zero."""
 
 
 @wp.struct
@@ -211,14 +210,32 @@ def spread_patch(
 
 
 @wp.func
-def gather(i: int, p: int, R: wp.mat33, shift: wp.vec3, body: Body, hand: Hand, reached: Reached) -> int:
-    """Note the points that the hand can reach; how many there are, at most as many as there is room for."""
+def gather(
+    i: int,
+    p: int,
+    R: wp.mat33,
+    shift: wp.vec3,
+    points: wp.array(dtype=wp.float32),
+    out_of_reach: wp.array(dtype=wp.int32),
+    hand: Hand,
+    reached: Reached,
+) -> int:
+    """Note the points that the hand can reach; how many there are, at most as many as there is room for.
+
+    `points` are those of the body in blocks; `out_of_reach` has a byte for each node of the hand's fields."""
+    spacing = hand.distance.spacing
+    A = R / spacing
+    b = (shift - hand.pivot[p] - hand.distance.origin[p]) / spacing + wp.vec3(0.5, 0.5, 0.5)  # the nearest node
     count = int(0)
-    for o in range(body.points.shape[0]):
-        u = node_units(hand.reach, p, R * body.points[o] + shift)
-        if count < reached.index.shape[1] and is_inside(u, hand.reach.dims[p]) and node_at(hand.reach, p, u) > 0.0:
-            reached.index[i, count] = o
-            count += 1
+    block = int(0)
+    while block < points.shape[0] // (3 * BLOCK):
+        mask = points_below(1, hand.distance, out_of_reach, p, A, b, points, block)
+        while mask != wp.uint32(0):
+            if count < reached.index.shape[1]:
+                reached.index[i, count] = block * BLOCK + lowest_bit(mask)
+                count += 1
+            mask = mask & (mask - wp.uint32(1))
+        block += 1
     return count
 
 

@@ -88,6 +88,8 @@ def hold(
     pressure: Pressure,
     course: Course,
     directions: wp.array(dtype=wp.spatial_vector),
+    points: wp.array(dtype=wp.float32),
+    out_of_reach: wp.array(dtype=wp.int32),
     preshape_in: wp.array(dtype=wp.int32),
     position_in: wp.array(dtype=wp.vec3),
     rotation_in: wp.array(dtype=wp.quat),
@@ -109,7 +111,7 @@ def hold(
     c = -wp.quat_rotate(q, position_in[i])
     up = -wp.quat_rotate(q, body.down)
     floor = body.table + wp.dot(body.down, position_in[i])
-    count = gather(i, p, wp.quat_to_matrix(q), c, body, hand, reached)
+    count = gather(i, p, wp.quat_to_matrix(q), c, points, out_of_reach, hand, reached)
     weight = wp.spatial_vector(-course.weight * up, wp.vec3(0.0, 0.0, 0.0))
     load = wp.where(body.table > -1.0e3, weight, wp.spatial_vector())  # what lies on nothing floats until it is held
     for k in range(FIGURES):

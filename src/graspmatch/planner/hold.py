@@ -12,9 +12,8 @@ from scipy import ndimage
 
 from graspmatch.config import GripConfig
 from graspmatch.geometry.cloud import nearest, normal_sector, voxel_downsample
-from graspmatch.geometry.grid import Grid
 from graspmatch.kernels import warp_contacts, warp_hold, warp_wrench
-from graspmatch.kernels.fields import stack_fields
+from graspmatch.kernels.fields import in_blocks, pack_bytes
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.candidates import Candidates
@@ -49,6 +48,8 @@ class Touchable:
     """The object as closing fingers meet it, on the device, and what it weighs on."""
 
     body: warp_contacts.Body
+    blocks: wp.array
+    """Its points again, as `warp_blocks` has them."""
     centre_of_mass: Float[Array, "3"]
     length: float
     """Root mean square distance of its surface from the centre of mass [m]: torques are measured by it."""
@@ -104,7 +105,8 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
     if scene.table is not None:
         body.table = float(scene.table.offset - scene.table.normal @ scene.centre_of_mass)
     length = max(float(np.sqrt(np.mean(np.sum(points[index] ** 2, axis=-1)))), 1e-3)
-    return Touchable(body, scene.centre_of_mass, length)
+    blocks = wp.array(in_blocks(points[index]).ravel(), dtype=wp.float32, device=device)
+    return Touchable(body, blocks, scene.centre_of_mass, length)
 
 
 def beside_edge(points: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> Bool[Array, "n"]:
@@ -128,6 +130,7 @@ def hold(
     pushed, not turned, and what holds it is asked before it is lifted."""
     n, f = len(candidates), len(gripper.fingers)
     room = min(config.reachable_points, len(target.body.points))
+    hand, out_of_reach = _touching_hand(gripper, device)
     contacts, reached = _room_for_contacts(n, f, device), _room_for_points(n, f, room, device)
     fraction = wp.empty((n, f), dtype=wp.float32, device=device)
     state = wp.empty(n, dtype=wp.int32, device=device)
@@ -135,10 +138,12 @@ def hold(
     figures = wp.empty((n, warp_hold.FIGURES), dtype=wp.float32, device=device)
     inputs = [
         target.body,
-        _touching_hand(gripper, device),
+        hand,
         pressure_of(gripper, friction, target.length, config, device),
         _course(gripper, config, upright=upright),
         wp.array(DIRECTIONS, dtype=wp.spatial_vector, device=device),
+        target.blocks,
+        out_of_reach,
         *pose_arrays(candidates, target.centre_of_mass, device),
     ]
     outputs = [reached, contacts, fraction, state, margin, figures]
@@ -195,21 +200,21 @@ def _course(gripper: Gripper, config: GripConfig, *, upright: bool) -> warp_hold
 
 
 @lru_cache(maxsize=4)
-def _touching_hand(gripper: Gripper, device: str) -> warp_contacts.Hand:
-    """Fields of all preshapes, and where they can touch something, the hand before it closes included."""
+def _touching_hand(gripper: Gripper, device: str) -> tuple[warp_contacts.Hand, wp.array]:
+    """Fields of all preshapes, and a byte for each node that is zero where they can touch something, the hand before it
+    closes included."""
     uploaded = upload_gripper(gripper, device)
-    reach = []
+    out_of_reach = []
     for preshape in gripper.preshapes:
         touches = np.any(preshape.arrival < NEVER, axis=0) | (np.abs(preshape.hand.values) < preshape.hand.spacing)
         steps = max(int(np.ceil(ROOM / preshape.hand.spacing)), 1)
         near = ndimage.binary_dilation(touches, iterations=steps)
-        reach.append(Grid(preshape.hand.origin, preshape.hand.spacing, near.astype(np.float32)))
+        out_of_reach.append(np.where(near, 0, 1).astype(np.uint8))
     hand = warp_contacts.Hand()
     hand.arrival, hand.distance = uploaded.arrival, uploaded.matching.distance
     hand.pivot = wp.array(uploaded.pivots, dtype=wp.vec3, device=device)
     hand.approach = wp.vec3(*gripper.approach)
-    hand.reach = stack_fields(reach, device)
-    return hand
+    return hand, pack_bytes(out_of_reach, device)
 
 
 def _room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contacts:

@@ -194,10 +194,9 @@ def _nearest_to(
         return solid
     index = np.argwhere(solid)
     centres = voxels.centres(index)
-    own, _ = KDTree(points).query(centres)
-    foreign, _ = KDTree(others).query(centres)
+    _, found = KDTree(np.concatenate([points, others])).query(centres, workers=-1)
     result = np.zeros_like(solid)
-    result[tuple(index[own <= foreign].T)] = True
+    result[tuple(index[found < len(points)].T)] = True
     return result
 
 

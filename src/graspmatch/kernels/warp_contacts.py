@@ -9,7 +9,7 @@ level sets are the finger's surface on its way.
 import warp as wp
 
 from graspmatch.kernels.warp_avoid import arrival_at
-from graspmatch.kernels.warp_blocks import BLOCK, lowest_bit, points_below
+from graspmatch.kernels.warp_blocks import BLOCK, level_at, level_of, lowest_bit, points_below
 from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_inside, low_node, node_units
 from graspmatch.kernels.warp_wrench import Contacts
 
@@ -17,8 +17,6 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 LATE = 0.25
 """Closing fraction after a finger's first contact in which it goes much farther than a contact patch is deep."""
-FAR = 0.4
-"""Closing fraction in which a finger's surface goes by more than the distance of neighbouring nodes, besides."""
 FACING_FIRST = 0.2
 """Cosine between the way of a finger and its push on a point, at least, for a first contact ..."""
 FACING = 0.5
@@ -56,6 +54,9 @@ class Hand:
 
     arrival: FieldStack
     """One grid for each finger of each preshape."""
+    arrival_levels: wp.array(dtype=wp.int32)
+    arrival_step: wp.float32
+    """Between levels."""
     distance: FieldStack
     """Signed distance of the open hand, about its pivot."""
     pivot: wp.array(dtype=wp.vec3)
@@ -85,14 +86,13 @@ def node_at(stack: FieldStack, g: int, u: wp.vec3) -> float:
 
 
 @wp.func
-def fraction_at(stack: FieldStack, g: int, u: wp.vec3, latest: float) -> float:
-    """Closing fraction at which a finger covers a point inside its grid, about that where it is later than `latest`;
-    `NEVER` where it does not."""
-    nearest = node_at(stack, g, u)
-    if nearest > latest:
-        return nearest  # `NEVER` is what `arrival_at` says there too, after more work
-    low = low_node(u, stack.dims[g])
-    return arrival_at(stack, g, low, u - wp.vec3(float(low[0]), float(low[1]), float(low[2])))
+def fraction_at(hand: Hand, g: int, u: wp.vec3, latest: float) -> float:
+    """Closing fraction at which a finger covers a point inside its grid; `NEVER` where it does not, or where the whole
+    cell is covered no earlier than `latest`."""
+    low = low_node(u, hand.arrival.dims[g])
+    if level_at(hand.arrival, hand.arrival_levels, g, low) >= wp.min(level_of(latest, hand.arrival_step), 255):
+        return float(NEVER)  # the last level is that of cells never swept
+    return arrival_at(hand.arrival, g, low, u - wp.vec3(float(low[0]), float(low[1]), float(low[2])))
 
 
 @wp.func
@@ -305,7 +305,7 @@ def touch(
         for f in range(fingers):
             t = float(NEVER)
             if inside:
-                t = fraction_at(hand.arrival, grid + f, u, fraction[i, f] + FAR)
+                t = fraction_at(hand, grid + f, u, fraction[i, f] + LATE)
             reached.excess[i, f, k] = t
             if t < fraction[i, f]:
                 way = slowness(hand.arrival, grid + f, x)

@@ -17,7 +17,7 @@ from graspmatch.kernels.fields import in_blocks, pack_bytes
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.candidates import Candidates
-from graspmatch.planner.upload import pose_arrays, upload_gripper
+from graspmatch.planner.upload import ARRIVAL_STEP, pose_arrays, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper
 
@@ -212,6 +212,7 @@ def _touching_hand(gripper: Gripper, device: str) -> tuple[warp_contacts.Hand, w
         out_of_reach.append(np.where(near, 0, 1).astype(np.uint8))
     hand = warp_contacts.Hand()
     hand.arrival, hand.distance = uploaded.arrival, uploaded.matching.distance
+    hand.arrival_levels, hand.arrival_step = uploaded.arrival_levels, ARRIVAL_STEP
     hand.pivot = wp.array(uploaded.pivots, dtype=wp.vec3, device=device)
     hand.approach = wp.vec3(*gripper.approach)
     return hand, pack_bytes(out_of_reach, device)

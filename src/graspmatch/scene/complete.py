@@ -64,6 +64,11 @@ class Voxels:
         """The voxel of each point."""
         return np.floor((points_grid - self.low) / self.spacing).astype(int)
 
+    def all_centres(self) -> Float[Array, "x y z 3"]:
+        """Of all voxels, in the world."""
+        x, y, z = (middles[:, None] * way for middles, way in zip(self.axes, self.R_world_grid.T, strict=True))
+        return x[:, None, None] + (y[:, None] + z)
+
     def centres(self, index: Int[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Of voxels, in the world."""
         return (self.low + (index + 0.5) * self.spacing) @ self.R_world_grid.T
@@ -120,8 +125,7 @@ def _surface_and_free(
     points: Float[Array, "n 3"], lines: SightLines, voxels: Voxels
 ) -> tuple[Bool[Array, "x y z"], Bool[Array, "x y z"]]:
     """The voxels that points lie in, and those that were seen to be free."""
-    every = np.indices(voxels.shape).reshape(3, -1).T
-    free = (lines.beyond(voxels.centres(every)) > voxels.spacing).reshape(voxels.shape)
+    free = (lines.beyond(voxels.all_centres().reshape(-1, 3)) > voxels.spacing).reshape(voxels.shape)
     surface = np.zeros(voxels.shape, dtype=bool)
     surface[tuple(voxels.index(points @ voxels.R_world_grid).T)] = True
     return surface, free
@@ -188,16 +192,13 @@ def _nearest_to(
     points: Float[Array, "n 3"], others: Float[Array, "m 3"] | None, solid: Bool[Array, "x y z"], voxels: Voxels
 ) -> Bool[Array, "x y z"]:
     """The voxels that are nearer to these points than to those of other things."""
-    from scipy.spatial import KDTree
+    from graspmatch.kernels.fields import nearest_field  # takes a second to import, which clouds alone do not need
 
     if others is None or len(others) == 0:
         return solid
-    index = np.argwhere(solid)
-    centres = voxels.centres(index)
-    _, found = KDTree(np.concatenate([points, others])).query(centres, workers=-1)
-    result = np.zeros_like(solid)
-    result[tuple(index[found < len(points)].T)] = True
-    return result
+    both = np.concatenate([points, others]) @ voxels.R_world_grid
+    field = nearest_field(both, voxels.low + voxels.spacing / 2, voxels.shape, voxels.spacing, "cpu")
+    return solid & (field.index.numpy().reshape(voxels.shape) < len(points))
 
 
 def _in_one_piece(solid: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:

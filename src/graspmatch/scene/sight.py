@@ -34,7 +34,7 @@ class SightLines:
     def beyond(self, points_world: Float[Array, "n 3"]) -> Float32[Array, "n"]:
         """How much farther than each point the sensor saw along the axis [m]: what is positive lies in space that was
         seen to be free, what is negative is hidden; NaN where nobody knows."""
-        x, y, z = ((points_world - self.origin) @ self.R_world_axes).T.astype(np.float32)
+        x, y, z = self.R_world_axes.T.astype(np.float32) @ (points_world - self.origin).astype(np.float32).T
         half = len(self.depth) // 2
         with np.errstate(divide="ignore", invalid="ignore"):
             column, row = (half + np.rint(self.focal * side / z) for side in (x, y))

@@ -8,7 +8,14 @@ the bounds that `warp_blocks` looks it up in, d way back.
 
 import warp as wp
 
-from graspmatch.kernels.warp_blocks import block_point, lane_min, lanes, level_of, lowest_bit, points_below
+from graspmatch.kernels.warp_blocks import (
+    block_point,
+    lane_min,
+    lanes,
+    level_of,
+    lowest_bit,
+    points_below,
+)
 from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate_at, is_inside, low_node
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -86,6 +93,60 @@ def least_distance(
             smallest = wp.min(smallest, interpolate_at(corridor, g, A * x + b))
         block += lanes()
     clearance_out[i] = lane_min(smallest)
+
+
+@wp.kernel
+def clear_ways(
+    first: int,
+    corridor: FieldStack,
+    points: wp.array(dtype=wp.float32),
+    levels: wp.array(dtype=wp.int32),
+    level_step: float,
+    blocks: int,
+    corners: wp.array2d(dtype=wp.vec3),
+    up: wp.vec3,
+    table: float,
+    clearance: float,
+    shift_in: wp.array(dtype=wp.vec3),
+    turn_in: wp.array(dtype=wp.quat),
+    preshape_in: wp.array(dtype=wp.int32),
+    position_in: wp.array(dtype=wp.vec3),
+    rotation_in: wp.array(dtype=wp.quat),
+    count_out: wp.array(dtype=wp.int32),
+):
+    """Of some displacements of the hand (`shift_in`, `turn_in`, in its own frame) how many leave more than a clearance
+    to the scene along the way in, and to the table at its end.
+
+    `corners` are those of the hull of each preshape's open hand, `table` its height along `up`.
+    """
+    i = first + wp.tid() / lanes()
+    g = preshape_in[i]
+    limit = level_of(clearance, level_step)
+    count = int(0)
+    j = int(0)
+    while j < shift_in.shape[0]:
+        p = position_in[i] + wp.quat_rotate(rotation_in[i], shift_in[j])
+        q = rotation_in[i] * turn_in[j]
+        up_hand = wp.quat_rotate_inv(q, up)
+        lowest = float(1.0e30)
+        for v in range(corners.shape[1]):
+            lowest = wp.min(lowest, wp.dot(up_hand, corners[g, v]))
+        is_clear = wp.where(lowest + wp.dot(up, p) - table > clearance, 1.0, 0.0)
+        A = to_node_units(corridor, q)
+        b = node_offset(corridor, g, A, p)
+        block = wp.tid() % lanes()
+        while block < blocks and is_clear > 0.0:
+            mask = points_below(limit, corridor, levels, g, A, b, points, block)
+            while mask != wp.uint32(0):
+                x = block_point(points, block, lowest_bit(mask))
+                mask = mask & (mask - wp.uint32(1))
+                if interpolate_at(corridor, g, A * x + b) <= clearance:
+                    is_clear = 0.0
+                    mask = wp.uint32(0)
+            block += lanes()
+        count += int(lane_min(is_clear))
+        j += 1
+    count_out[i] = count
 
 
 @wp.func

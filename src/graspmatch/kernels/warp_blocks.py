@@ -16,7 +16,7 @@ Legend: u = A x + b a point in node units, level the byte of a cell, mask the bi
 
 import warp as wp
 
-from graspmatch.kernels.warp_fields import POSITIVE, FieldStack
+from graspmatch.kernels.warp_fields import FieldStack
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -100,21 +100,41 @@ def points_below(
 ) -> wp.uint32:
     """The points of a block in cells whose level is below the limit, a bit each; a point outside counts as in the
     nearest cell."""
-    dims = stack.dims[g]
-    start = stack.start[g]
-    first = 3 * BLOCK * (block & MOST_BLOCKS)
-    mask = wp.uint32(0)
-    n = int(0)
-    while n < BLOCK:
-        u = A * wp.vec3(points[first + n], points[first + BLOCK + n], points[first + 2 * BLOCK + n]) + b
-        i = wp.min(wp.max(int(u[0]), 0), dims[0] - 2)
-        j = wp.min(wp.max(int(u[1]), 0), dims[1] - 2)
-        k = wp.min(wp.max(int(u[2]), 0), dims[2] - 2)
-        at = start + (i * dims[1] + j) * dims[2] + k
-        level = (levels[(at & POSITIVE) >> 2] >> ((at & 3) << 3)) & 255
-        mask = mask | (wp.where(level < limit, wp.uint32(1), wp.uint32(0)) << wp.uint32(n))
-        n += 1
-    return mask
+    return cells_below(limit, stack.start[g], stack.dims[g], levels, A, b, points, 3 * BLOCK * block)
+
+
+@wp.func_native("""
+    const float* x = points.data + first;
+    const float* y = x + 32;
+    const float* z = y + 32;
+    const int* words = levels.data;
+    unsigned int mask = 0;
+    for (int n = 0; n < 32; ++n) {
+        int i = (int)(A.data[0][0] * x[n] + A.data[0][1] * y[n] + A.data[0][2] * z[n] + b[0]);
+        int j = (int)(A.data[1][0] * x[n] + A.data[1][1] * y[n] + A.data[1][2] * z[n] + b[1]);
+        int k = (int)(A.data[2][0] * x[n] + A.data[2][1] * y[n] + A.data[2][2] * z[n] + b[2]);
+        i = wp::min(wp::max(i, 0), dims[0] - 2);
+        j = wp::min(wp::max(j, 0), dims[1] - 2);
+        k = wp::min(wp::max(k, 0), dims[2] - 2);
+        unsigned int at = start + (i * dims[1] + j) * dims[2] + k;
+        int level = (words[at >> 2] >> ((at & 3) << 3)) & 255;
+        mask |= (level < limit ? 1u : 0u) << n;
+    }
+    return mask;
+""")
+def cells_below(
+    limit: int,
+    start: int,
+    dims: wp.vec3i,
+    levels: wp.array(dtype=wp.int32),
+    A: wp.mat33,
+    b: wp.vec3,
+    points: wp.array(dtype=wp.float32),
+    first: int,
+) -> wp.uint32:
+    """`points_below` for 32 points from the number `first` on. In C++, for there the compiler knows that arrays are
+    contiguous: it reads eight numbers at once, where indices of Warp's arrays make it gather them one by one."""
+    ...
 
 
 @wp.func

@@ -9,13 +9,13 @@ import warp as wp
 from jaxtyping import Float, Int
 
 from graspmatch.config import CollisionConfig
+from graspmatch.kernels import warp_avoid
 from graspmatch.kernels.fields import BlockCloud, in_block_order, upload_blocks
 from graspmatch.kernels.launch import launch
-from graspmatch.kernels.warp_avoid import back_off, least_distance
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.planner.candidates import Candidates, Free, Matched
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.upload import DISTANCE_STEP, DeviceHand, pose_arrays, upload_gripper
+from graspmatch.planner.upload import DISTANCE_STEP, DeviceHand, motion_arrays, pose_arrays, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Plane
 
@@ -144,7 +144,7 @@ def point_retreat(
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
     bounds = [wp.array(bound, dtype=wp.float32, device=space.device) for bound in (least, most)]
     inputs = [*corridor_inputs(space, points), *way, *poses, *bounds]
-    launch(back_off, len(candidates), inputs, [retreat], space.device, lanes=LANES, chunks=4)
+    launch(warp_avoid.back_off, len(candidates), inputs, [retreat], space.device, lanes=LANES, chunks=4)
     return retreat.numpy().astype(float)
 
 
@@ -154,13 +154,28 @@ def table_clearance_of_way(candidates: Candidates, space: Space) -> Float[np.nda
     return np.minimum(table_clearance(candidates, space), table_clearance(start, space))
 
 
-def point_clearance(candidates: Candidates, space: Space, points: BlockCloud | None = None) -> Float[np.ndarray, "n"]:
-    """Smallest distance of hand and way in to any point of the scene, or of those given [m]."""
+def point_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
+    """Smallest distance of hand and way in to any point of the scene [m]."""
     clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
-    inputs = [*corridor_inputs(space, points or space.points), *poses]
-    launch(least_distance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=4)
+    inputs = [*corridor_inputs(space, space.points), *poses]
+    launch(warp_avoid.least_distance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=4)
     return clearance.numpy().astype(float)
+
+
+def clear_ways(
+    candidates: Candidates, errors: Float[np.ndarray, "k 4 4"], clearance: float, space: Space
+) -> Int[np.ndarray, "n"]:
+    """How many of the displacements (gripper frame) leave more than a clearance [m] between hand and table, and between
+    its way in and every so manieth point."""
+    up, table = np.zeros(3), -np.inf
+    if space.table is not None:
+        up, table = space.table.normal, float(space.table.offset - space.table.normal @ space.centre_of_mass)
+    inputs = [*corridor_inputs(space, space.coarse), space.hand.hulls, wp.vec3(*up), table, clearance]
+    inputs += [*motion_arrays(errors, space.device), *pose_arrays(candidates, space.centre_of_mass, space.device)]
+    count = wp.empty(len(candidates), dtype=wp.int32, device=space.device)
+    launch(warp_avoid.clear_ways, len(candidates), inputs, [count], space.device, lanes=LANES, chunks=4)
+    return count.numpy().astype(int)
 
 
 def corridor_inputs(space: Space, points: BlockCloud) -> list:

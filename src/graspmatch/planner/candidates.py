@@ -8,8 +8,6 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float, Int
 
-from graspmatch.geometry import se3
-
 Array = np.ndarray
 
 
@@ -26,10 +24,6 @@ class Candidates:
     def select(self, keep: Array) -> Self:
         """The candidates of a mask or an index array."""
         return replace(self, **{f.name: getattr(self, f.name)[keep] for f in fields(self)})
-
-    def quaternions_xyzw(self) -> Float[Array, "n 4"]:
-        """Rotations as Warp writes them."""
-        return np.roll(se3.quaternion_from_matrix(self.T_world_gripper[:, :3, :3]), -1, axis=-1)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from graspmatch.config import GripConfig, RankingConfig
 from graspmatch.geometry import se3
 from graspmatch.kernels.warp_hold import LOST_MARGIN
-from graspmatch.planner.avoid import Space, point_clearance, table_clearance
+from graspmatch.planner.avoid import Space, clear_ways
 from graspmatch.planner.candidates import Candidates, Closed, Graded
 from graspmatch.planner.close import contact_joints
 from graspmatch.planner.hold import Touchable, hold, most_force
@@ -143,10 +143,8 @@ def displaced(candidates: Candidates, errors: Float[Array, "k 4 4"]) -> Candidat
 
 def clear_share(candidates: Candidates, trials: Trials, space: Space) -> Float[Array, "n"]:
     """Share of the arrivals of free candidates that meet nothing, as far as every so manieth point tells."""
-    poses = displaced(candidates, trials.way_in)
-    clearance = np.minimum(point_clearance(poses, space, space.coarse), table_clearance(poses, space))
-    is_clear = (clearance > trials.clearance).reshape(len(candidates), len(trials.way_in))
-    return 1 - trials.inexact * (1 - is_clear.mean(axis=-1))
+    share = clear_ways(candidates, trials.way_in, trials.clearance, space) / len(trials.way_in)
+    return 1 - trials.inexact * (1 - share)
 
 
 def pooled(a: Graded, b: Graded) -> Graded:

@@ -94,7 +94,7 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
         index = _spread(points, spacing * np.sqrt(len(index) / most), sectors)
     index = np.random.default_rng(0).permutation(index)  # any of the first are spread evenly too
     down = -scene.table.normal if scene.table is not None else np.array([0.0, 0.0, -1.0])
-    corners = points[np.unique(np.argmax(points @ OUTWARD.T, axis=0))]
+    corners = points[np.unique(np.argmax(OUTWARD @ points.T, axis=1))]
     body = warp_contacts.Body()
     body.points = wp.array(points[index], dtype=wp.vec3, device=device)
     body.normals = wp.array(normals[index], dtype=wp.vec3, device=device)

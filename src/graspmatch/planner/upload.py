@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float, Int
 
+from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import hull_corners
 from graspmatch.geometry.grid import Grid
 from graspmatch.kernels import warp_match
@@ -42,6 +43,8 @@ class DeviceHand:
     """Corners of all preshapes about their pivots, in blocks."""
     corners: Float[np.ndarray, "p v 3"]
     """Of the convex hull of the open hand, gripper frame [m]; those that have fewer have their first one again."""
+    hulls: wp.array
+    """The same on the device."""
     swept_corners: Float[np.ndarray, "p f v 3"]
     """The same for what each finger sweeps when it closes."""
     corridor: FieldStack
@@ -59,9 +62,11 @@ def upload_gripper(gripper: Gripper, device: str) -> DeviceHand:
     arrivals = [Grid(p.hand.origin, p.hand.spacing, arrival) for p in preshapes for arrival in p.arrival]
     corridors = [preshape.corridor for preshape in preshapes]
     outlines = [in_blocks(preshape.outline - preshape.tool_centre_point) for preshape in preshapes]
+    corners = padded([hull_corners(preshape.outline) for preshape in preshapes])
     return DeviceHand(
         matching=_matching_hand(preshapes, device),
-        corners=padded([hull_corners(preshape.outline) for preshape in preshapes]),
+        corners=corners,
+        hulls=wp.array(corners, dtype=wp.vec3, device=device),
         swept_corners=swept_corners(preshapes),
         outline=wp.array(np.concatenate(outlines).ravel(), dtype=wp.float32, device=device),
         samples=np.array([np.count_nonzero(preshape.weights) for preshape in preshapes]),
@@ -135,11 +140,14 @@ def pose_arrays(
 ) -> list[wp.array]:
     """Preshape, position and rotation of each candidate as the kernels take them, object frame: the positions of the
     gripper frame, or of the pivots of the preshapes."""
-    position = candidates.T_world_gripper[:, :3, 3] - centre_of_mass
+    T_object_hand = candidates.T_world_gripper.copy()
+    T_object_hand[:, :3, 3] -= centre_of_mass
     if pivots is not None:
-        position += np.einsum("nij,nj->ni", candidates.T_world_gripper[:, :3, :3], pivots[candidates.preshape])
-    return [
-        wp.array(candidates.preshape, dtype=wp.int32, device=device),
-        wp.array(position, dtype=wp.vec3, device=device),
-        wp.array(candidates.quaternions_xyzw(), dtype=wp.quat, device=device),
-    ]
+        T_object_hand[:, :3, 3] += np.einsum("nij,nj->ni", T_object_hand[:, :3, :3], pivots[candidates.preshape])
+    return [wp.array(candidates.preshape, dtype=wp.int32, device=device), *motion_arrays(T_object_hand, device)]
+
+
+def motion_arrays(T: Float[np.ndarray, "n 4 4"], device: str) -> list[wp.array]:
+    """Translation and rotation of each motion as the kernels take them."""
+    xyzw = np.roll(se3.quaternion_from_matrix(T[:, :3, :3]), -1, axis=-1)
+    return [wp.array(T[:, :3, 3], dtype=wp.vec3, device=device), wp.array(xyzw, dtype=wp.quat, device=device)]

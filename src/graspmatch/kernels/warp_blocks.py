@@ -80,14 +80,6 @@ def level_of(value: float, step: float) -> int:
 
 
 @wp.func
-def level_at(stack: FieldStack, levels: wp.array(dtype=wp.int32), g: int, low: wp.vec3i) -> int:
-    """The level of a cell, by its lowest node."""
-    dims = stack.dims[g]
-    at = stack.start[g] + (low[0] * dims[1] + low[1]) * dims[2] + low[2]
-    return (levels[at >> 2] >> ((at & 3) << 3)) & 255
-
-
-@wp.func
 def points_below(
     limit: int,
     stack: FieldStack,

@@ -1,6 +1,6 @@
 """Where closing fingers, palm and table touch an object between them, for CPU and CUDA.
 
-Legend: i grasp, k one of the points of the object that its hand can reach, o that point's index in the body; R, p turn
+Legend: i grasp, o index of a point of the object, k its place among those near to what touches; R, p turn
 and shift of the body into the gripper frame; x point there, u the same in node units, n outward normal; p preshape, f
 finger, g what touches (the fingers, then palm, then table); t closing fraction at which a finger covers a point: its
 level sets are the finger's surface on its way.
@@ -9,7 +9,7 @@ level sets are the finger's surface on its way.
 import warp as wp
 
 from graspmatch.kernels.warp_avoid import arrival_at
-from graspmatch.kernels.warp_blocks import BLOCK, level_at, level_of, lowest_bit, points_below
+from graspmatch.kernels.warp_blocks import BLOCK, level_of, lowest_bit, points_below
 from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_inside, low_node, node_units
 from graspmatch.kernels.warp_wrench import Contacts
 
@@ -25,6 +25,8 @@ PALM_FACING = 0.5
 """The same for the approach and what the palm touches."""
 SAME_FACE = 0.8
 """Cosine between the normals of a face and of a point on its edge."""
+FAR = 1.0e3
+"""Where the points are that fill up a block [m]."""
 PALM_TOUCHES = 0.002
 """Points nearer to the palm than this touch it [m]."""
 PALM_WAY = 0.006
@@ -38,6 +40,8 @@ class Body:
     """The object, turned as the world is; origin at the centre of mass."""
 
     points: wp.array(dtype=wp.vec3)
+    blocks: wp.array(dtype=wp.float32)
+    """The same as `warp_blocks` has them."""
     normals: wp.array(dtype=wp.vec3)
     is_edge: wp.array(dtype=wp.int32)
     """Whether a point is beside an edge: what touches there pushes along no normal of the object's alone."""
@@ -59,40 +63,33 @@ class Hand:
     """Between levels."""
     distance: FieldStack
     """Signed distance of the open hand, about its pivot."""
+    distance_levels: wp.array(dtype=wp.int32)
+    distance_step: wp.float32
+    out_of_reach: wp.array(dtype=wp.int32)
+    """Of those grids, for each node a byte that is zero where a point can be touched."""
     pivot: wp.array(dtype=wp.vec3)
     approach: wp.vec3
 
 
 @wp.struct
 class Reached:
-    """Scratch: the points of each grasp that its hand can reach, where they are, and how far from touching."""
+    """Scratch: the points of each grasp that its hand can reach, and of these the few near to each finger and palm."""
 
     index: wp.array2d(dtype=wp.int32)
-    point: wp.array2d(dtype=wp.vec3)
-    normal: wp.array2d(dtype=wp.vec3)
+    blocks: wp.array2d(dtype=wp.float32)
+    """Where they are in the body, as `warp_blocks` has them."""
+    count: wp.array2d(dtype=wp.int32)
+    """Of those near to each, ..."""
+    near: wp.array3d(dtype=wp.int32)
+    """... their indices, ..."""
     excess: wp.array3d(dtype=wp.float32)
+    """... and how far from touching they are: for a start closing fractions, then distances [m]."""
 
 
 @wp.func
 def node_value(stack: FieldStack, g: int, i: int, j: int, k: int) -> float:
     dims = stack.dims[g]
     return stack.values[stack.start[g] + (i * dims[1] + j) * dims[2] + k]
-
-
-@wp.func
-def node_at(stack: FieldStack, g: int, u: wp.vec3) -> float:
-    """Value of the node nearest to a point inside the grid."""
-    return node_value(stack, g, int(u[0] + 0.5), int(u[1] + 0.5), int(u[2] + 0.5))
-
-
-@wp.func
-def fraction_at(hand: Hand, g: int, u: wp.vec3, latest: float) -> float:
-    """Closing fraction at which a finger covers a point inside its grid; `NEVER` where it does not, or where the whole
-    cell is covered no earlier than `latest`."""
-    low = low_node(u, hand.arrival.dims[g])
-    if level_at(hand.arrival, hand.arrival_levels, g, low) >= wp.min(level_of(latest, hand.arrival_step), 255):
-        return float(NEVER)  # the last level is that of cells never swept
-    return arrival_at(hand.arrival, g, low, u - wp.vec3(float(low[0]), float(low[1]), float(low[2])))
 
 
 @wp.func
@@ -128,18 +125,6 @@ def slowness(stack: FieldStack, g: int, x: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def distance_near(stack: FieldStack, g: int, x: wp.vec3, most: float) -> float:
-    """Signed distance, where it is at most so much [m]; farther away roughly."""
-    u = node_units(stack, g, x)
-    if not is_inside(u, stack.dims[g]):
-        return float(1.0e30)
-    nearest = node_at(stack, g, u)
-    if nearest > most + stack.spacing:  # no cell's corner is farther from x than its node by as much
-        return nearest
-    return interpolate(stack, g, x)
-
-
-@wp.func
 def is_before_palm(stack: FieldStack, g: int, x: wp.vec3, gap: float, approach: wp.vec3) -> bool:
     """Whether the hand is straight back along the approach, not beside the point."""
     return interpolate(stack, g, x - PALM_WAY * approach) < gap - 0.5 * PALM_WAY
@@ -153,15 +138,14 @@ def across(n: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def push_at(i: int, k: int, grid: int, face: wp.vec3, body: Body, hand: Hand, reached: Reached) -> wp.vec3:
+def push_at(grid: int, x: wp.vec3, n: wp.vec3, is_edge: int, face: wp.vec3, hand: Hand) -> wp.vec3:
     """Direction in which a finger pushes a point: against the normal; beside an edge, where it may be any between those
     of the faces, along the middle of that and the finger's way, unless the finger lies on a `face` with that normal
     (zero where it lies on none).
     `grid` is the finger's; the palm has none (-1)."""
-    n = reached.normal[i, k]
     push = -n
-    if grid >= 0 and body.is_edge[reached.index[i, k]] == 1 and wp.dot(n, face) <= SAME_FACE:
-        way = slowness(hand.arrival, grid, reached.point[i, k])
+    if grid >= 0 and is_edge == 1 and wp.dot(n, face) <= SAME_FACE:
+        way = slowness(hand.arrival, grid, x)
         push = wp.normalize(push + way / wp.max(wp.length(way), 1.0e-3))
     return push
 
@@ -173,70 +157,78 @@ def spread_patch(
     grid: int,
     start: int,
     face: wp.vec3,
-    count: int,
+    R: wp.mat33,
+    shift: wp.vec3,
     tolerance: float,
     body: Body,
     hand: Hand,
     reached: Reached,
     contacts: Contacts,
 ):
-    """Contacts of g: `start`, and of the points whose excess is within the tolerance those farthest along two axes."""
-    x0 = reached.point[i, start]
+    """Contacts of g: `start`, and of the points near it whose excess is within the tolerance those farthest along two
+    axes; all by their indices."""
+    x0 = R * body.points[start] + shift
+    n0 = R * body.normals[start]
     contacts.point[i, g, 0] = x0
-    contacts.push[i, g, 0] = push_at(i, start, grid, face, body, hand, reached)
-    a = across(reached.normal[i, start])
-    b = wp.cross(reached.normal[i, start], a)
+    contacts.push[i, g, 0] = push_at(grid, x0, n0, body.is_edge[start], face, hand)
+    a = across(n0)
+    b = wp.cross(n0, a)
     reach = wp.vec4(0.0, 0.0, 0.0, 0.0)
     corner = wp.vec4i(start, start, start, start)
-    for k in range(count):
+    for k in range(reached.count[i, g]):
         if reached.excess[i, g, k] <= tolerance:
-            x = reached.point[i, k] - x0
+            o = reached.near[i, g, k]
+            x = R * body.points[o] + shift - x0
             along = wp.vec2(wp.dot(x, a), wp.dot(x, b))
             for s in range(4):
                 value = along[s // 2] * wp.where(s % 2 == 0, 1.0, -1.0)
                 if value > reach[s]:
                     reach[s] = value
-                    corner[s] = k
+                    corner[s] = o
     found = int(1)
     for s in range(4):
-        is_new = corner[s] != start
+        o = corner[s]
+        is_new = o != start
         for r in range(s):
-            is_new = is_new and corner[r] != corner[s]
+            is_new = is_new and corner[r] != o
         if is_new:
-            contacts.point[i, g, found] = reached.point[i, corner[s]]
-            contacts.push[i, g, found] = push_at(i, corner[s], grid, face, body, hand, reached)
+            x = R * body.points[o] + shift
+            contacts.point[i, g, found] = x
+            contacts.push[i, g, found] = push_at(grid, x, R * body.normals[o], body.is_edge[o], face, hand)
             found += 1
     contacts.count[i, g] = found
 
 
 @wp.func
-def gather(
-    i: int,
-    p: int,
-    R: wp.mat33,
-    shift: wp.vec3,
-    points: wp.array(dtype=wp.float32),
-    out_of_reach: wp.array(dtype=wp.int32),
-    hand: Hand,
-    reached: Reached,
-) -> int:
-    """Note the points that the hand can reach; how many there are, at most as many as there is room for.
-
-    `points` are those of the body in blocks; `out_of_reach` has a byte for each node of the hand's fields."""
+def gather(i: int, p: int, R: wp.mat33, shift: wp.vec3, body: Body, hand: Hand, reached: Reached) -> int:
+    """Note the points that the hand can reach, at most as many as there is room for, and say how many blocks they
+    fill."""
     spacing = hand.distance.spacing
-    A = R / spacing
     b = (shift - hand.pivot[p] - hand.distance.origin[p]) / spacing + wp.vec3(0.5, 0.5, 0.5)  # the nearest node
     count = int(0)
     block = int(0)
-    while block < points.shape[0] // (3 * BLOCK):
-        mask = points_below(1, hand.distance, out_of_reach, p, A, b, points, block)
+    while block < body.blocks.shape[0] // (3 * BLOCK):
+        mask = points_below(1, hand.distance, hand.out_of_reach, p, R / spacing, b, body.blocks, block)
         while mask != wp.uint32(0):
             if count < reached.index.shape[1]:
-                reached.index[i, count] = block * BLOCK + lowest_bit(mask)
+                o = block * BLOCK + lowest_bit(mask)
+                reached.index[i, count] = o
+                put_in_block(reached.blocks, i, count, body.points[o])
                 count += 1
             mask = mask & (mask - wp.uint32(1))
         block += 1
-    return count
+    blocks = (count + BLOCK - 1) // BLOCK
+    for rest in range(count, blocks * BLOCK):
+        put_in_block(reached.blocks, i, rest, wp.vec3(FAR, FAR, FAR))
+    return blocks
+
+
+@wp.func
+def put_in_block(blocks: wp.array2d(dtype=wp.float32), i: int, k: int, x: wp.vec3):
+    """Coordinates of the k-th point of a row of blocks."""
+    first = k // BLOCK * 3 * BLOCK + k % BLOCK
+    for axis in range(3):
+        blocks[i, first + axis * BLOCK] = x[axis]
 
 
 @wp.func
@@ -273,10 +265,19 @@ def touch_table(i: int, g: int, R: wp.mat33, shift: wp.vec3, floor: float, up: w
 
 
 @wp.func
+def note_near(i: int, g: int, o: int, excess: float, reached: Reached):
+    """One more point that is near to a finger or the palm."""
+    k = reached.count[i, g]
+    reached.near[i, g, k] = o
+    reached.excess[i, g, k] = excess
+    reached.count[i, g] = k + 1
+
+
+@wp.func
 def touch(
     i: int,
     p: int,
-    count: int,
+    blocks: int,
     R: wp.mat33,
     shift: wp.vec3,
     tolerance: float,
@@ -294,58 +295,76 @@ def touch(
     palm_gap = float(PALM_TOUCHES)
     for f in range(fingers):
         fraction[i, f] = NEVER
-        contacts.count[i, f] = 0
-    for k in range(count):
-        x = R * body.points[reached.index[i, k]] + shift
-        n = R * body.normals[reached.index[i, k]]
-        reached.point[i, k] = x
-        reached.normal[i, k] = n
-        u = node_units(hand.arrival, grid, x)
-        inside = is_inside(u, hand.arrival.dims[grid])
+        contacts.count[i, f] = -1  # for now, which point it is
+    for g in range(fingers + 1):
+        reached.count[i, g] = 0
+    points = reached.blocks[i]
+    A = R / hand.arrival.spacing
+    b = (shift - hand.arrival.origin[grid]) / hand.arrival.spacing
+    b_palm = (shift - hand.pivot[p] - hand.distance.origin[p]) / hand.distance.spacing
+    dims = hand.arrival.dims[grid]
+    block = int(0)
+    while block < blocks:
         for f in range(fingers):
-            t = float(NEVER)
-            if inside:
-                t = fraction_at(hand, grid + f, u, fraction[i, f] + LATE)
-            reached.excess[i, f, k] = t
-            if t < fraction[i, f]:
-                way = slowness(hand.arrival, grid + f, x)
-                if -wp.dot(n, way) >= FACING_FIRST * wp.length(way):
-                    fraction[i, f] = t
-                    contacts.count[i, f] = k  # for now, which point it is
-        gap = float(1.0e30)
-        if wp.dot(n, hand.approach) < -PALM_FACING:
-            gap = distance_near(hand.distance, p, x - hand.pivot[p], PALM_TOUCHES + tolerance)
-            if gap <= PALM_TOUCHES and not is_before_palm(hand.distance, p, x - hand.pivot[p], gap, hand.approach):
-                gap = float(1.0e30)
-        reached.excess[i, fingers, k] = gap
-        if gap <= palm_gap:
-            palm_gap = gap
-            palm_start = k
+            # the last level is that of cells never swept
+            limit = wp.min(level_of(fraction[i, f] + LATE, hand.arrival_step), 255)
+            mask = points_below(limit, hand.arrival, hand.arrival_levels, grid + f, A, b, points, block)
+            while mask != wp.uint32(0):
+                o = reached.index[i, block * BLOCK + lowest_bit(mask)]
+                mask = mask & (mask - wp.uint32(1))
+                x = R * body.points[o] + shift
+                u = node_units(hand.arrival, grid, x)
+                if is_inside(u, dims):
+                    low = low_node(u, dims)
+                    within = u - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
+                    t = arrival_at(hand.arrival, grid + f, low, within)
+                    if t < wp.min(fraction[i, f] + LATE, NEVER):
+                        note_near(i, f, o, t, reached)
+                    if t < fraction[i, f]:
+                        way = slowness(hand.arrival, grid + f, x)
+                        if -wp.dot(R * body.normals[o], way) >= FACING_FIRST * wp.length(way):
+                            fraction[i, f] = t
+                            contacts.count[i, f] = o
+        limit = level_of(PALM_TOUCHES + tolerance, hand.distance_step)
+        mask = points_below(limit, hand.distance, hand.distance_levels, p, A, b_palm, points, block)
+        while mask != wp.uint32(0):
+            o = reached.index[i, block * BLOCK + lowest_bit(mask)]
+            mask = mask & (mask - wp.uint32(1))
+            if wp.dot(R * body.normals[o], hand.approach) < -PALM_FACING:
+                x = R * body.points[o] + shift - hand.pivot[p]
+                gap = interpolate(hand.distance, p, x)
+                if gap > PALM_TOUCHES or is_before_palm(hand.distance, p, x, gap, hand.approach):
+                    note_near(i, fingers, o, gap, reached)
+                    if gap <= palm_gap:
+                        palm_gap = gap
+                        palm_start = o
+        block += 1
     for f in range(fingers):
         start = contacts.count[i, f]
         on_face = int(-1)
         nearest = float(tolerance)
         contacts.count[i, f] = 0
         if fraction[i, f] <= 1.0:
-            for k in range(count):  # from fractions to distances
+            for k in range(reached.count[i, f]):  # from fractions to distances
+                o = reached.near[i, f, k]
                 late = reached.excess[i, f, k] - fraction[i, f]
                 if late < LATE:
-                    way = slowness(hand.arrival, grid + f, reached.point[i, k])
-                    if k != start and -wp.dot(reached.normal[i, k], way) < FACING * wp.length(way):
+                    way = slowness(hand.arrival, grid + f, R * body.points[o] + shift)
+                    if o != start and -wp.dot(R * body.normals[o], way) < FACING * wp.length(way):
                         late = float(NEVER)
                     else:
                         late = late / wp.max(wp.length(way), 1.0e-3)
                 reached.excess[i, f, k] = late
-                if late <= nearest and body.is_edge[reached.index[i, k]] == 0:
+                if late <= nearest and body.is_edge[o] == 0:
                     nearest = late
-                    on_face = k
+                    on_face = o
             face = wp.vec3(0.0, 0.0, 0.0)
             if on_face >= 0:
                 start = on_face
-                face = reached.normal[i, on_face]
-            spread_patch(i, f, grid + f, start, face, count, tolerance, body, hand, reached, contacts)
+                face = R * body.normals[on_face]
+            spread_patch(i, f, grid + f, start, face, R, shift, tolerance, body, hand, reached, contacts)
     contacts.count[i, fingers] = 0
     if palm_start >= 0:
         spread_patch(
-            i, fingers, -1, palm_start, hand.approach, count, palm_gap + tolerance, body, hand, reached, contacts
+            i, fingers, -1, palm_start, hand.approach, R, shift, palm_gap + tolerance, body, hand, reached, contacts
         )

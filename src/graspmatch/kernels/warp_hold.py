@@ -88,8 +88,6 @@ def hold(
     pressure: Pressure,
     course: Course,
     directions: wp.array(dtype=wp.spatial_vector),
-    points: wp.array(dtype=wp.float32),
-    out_of_reach: wp.array(dtype=wp.int32),
     preshape_in: wp.array(dtype=wp.int32),
     position_in: wp.array(dtype=wp.vec3),
     rotation_in: wp.array(dtype=wp.quat),
@@ -111,7 +109,7 @@ def hold(
     c = -wp.quat_rotate(q, position_in[i])
     up = -wp.quat_rotate(q, body.down)
     floor = body.table + wp.dot(body.down, position_in[i])
-    count = gather(i, p, wp.quat_to_matrix(q), c, points, out_of_reach, hand, reached)
+    blocks = gather(i, p, wp.quat_to_matrix(q), c, body, hand, reached)
     weight = wp.spatial_vector(-course.weight * up, wp.vec3(0.0, 0.0, 0.0))
     load = wp.where(body.table > -1.0e3, weight, wp.spatial_vector())  # what lies on nothing floats until it is held
     for k in range(FIGURES):
@@ -125,7 +123,7 @@ def hold(
     while state < HELD:
         R = wp.quat_to_matrix(q)
         contacts.centre[i] = c
-        touch(i, p, count, R, c, course.patch, body, hand, reached, fraction, contacts)
+        touch(i, p, blocks, R, c, course.patch, body, hand, reached, fraction, contacts)
         contacts.count[i, fingers + 1] = 0
         if state == CLOSING:
             touch_table(i, fingers + 1, R, c, floor, up, body, contacts)

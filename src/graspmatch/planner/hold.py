@@ -15,9 +15,10 @@ from graspmatch.geometry.cloud import nearest, normal_sector, voxel_downsample
 from graspmatch.kernels import warp_contacts, warp_hold, warp_wrench
 from graspmatch.kernels.fields import in_blocks, pack_bytes
 from graspmatch.kernels.launch import launch
+from graspmatch.kernels.warp_blocks import BLOCK
 from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.candidates import Candidates
-from graspmatch.planner.upload import ARRIVAL_STEP, pose_arrays, upload_gripper
+from graspmatch.planner.upload import ARRIVAL_STEP, DISTANCE_STEP, pose_arrays, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper
 
@@ -48,8 +49,6 @@ class Touchable:
     """The object as closing fingers meet it, on the device, and what it weighs on."""
 
     body: warp_contacts.Body
-    blocks: wp.array
-    """Its points again, as `warp_blocks` has them."""
     centre_of_mass: Float[Array, "3"]
     length: float
     """Root mean square distance of its surface from the centre of mass [m]: torques are measured by it."""
@@ -97,6 +96,7 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
     corners = points[np.unique(np.argmax(OUTWARD @ points.T, axis=1))]
     body = warp_contacts.Body()
     body.points = wp.array(points[index], dtype=wp.vec3, device=device)
+    body.blocks = wp.array(in_blocks(points[index]).ravel(), dtype=wp.float32, device=device)
     body.normals = wp.array(normals[index], dtype=wp.vec3, device=device)
     body.is_edge = wp.array(beside_edge(points[index], normals[index]), dtype=wp.int32, device=device)
     body.corners = wp.array(corners, dtype=wp.vec3, device=device)
@@ -105,8 +105,7 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
     if scene.table is not None:
         body.table = float(scene.table.offset - scene.table.normal @ scene.centre_of_mass)
     length = max(float(np.sqrt(np.mean(np.sum(points[index] ** 2, axis=-1)))), 1e-3)
-    blocks = wp.array(in_blocks(points[index]).ravel(), dtype=wp.float32, device=device)
-    return Touchable(body, blocks, scene.centre_of_mass, length)
+    return Touchable(body, scene.centre_of_mass, length)
 
 
 def beside_edge(points: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> Bool[Array, "n"]:
@@ -130,7 +129,6 @@ def hold(
     pushed, not turned, and what holds it is asked before it is lifted."""
     n, f = len(candidates), len(gripper.fingers)
     room = min(config.reachable_points, len(target.body.points))
-    hand, out_of_reach = _touching_hand(gripper, device)
     contacts, reached = _room_for_contacts(n, f, device), _room_for_points(n, f, room, device)
     fraction = wp.empty((n, f), dtype=wp.float32, device=device)
     state = wp.empty(n, dtype=wp.int32, device=device)
@@ -138,12 +136,10 @@ def hold(
     figures = wp.empty((n, warp_hold.FIGURES), dtype=wp.float32, device=device)
     inputs = [
         target.body,
-        hand,
+        _touching_hand(gripper, device),
         pressure_of(gripper, friction, target.length, config, device),
         _course(gripper, config, upright=upright),
         wp.array(DIRECTIONS, dtype=wp.spatial_vector, device=device),
-        target.blocks,
-        out_of_reach,
         *pose_arrays(candidates, target.centre_of_mass, device),
     ]
     outputs = [reached, contacts, fraction, state, margin, figures]
@@ -200,9 +196,8 @@ def _course(gripper: Gripper, config: GripConfig, *, upright: bool) -> warp_hold
 
 
 @lru_cache(maxsize=4)
-def _touching_hand(gripper: Gripper, device: str) -> tuple[warp_contacts.Hand, wp.array]:
-    """Fields of all preshapes, and a byte for each node that is zero where they can touch something, the hand before it
-    closes included."""
+def _touching_hand(gripper: Gripper, device: str) -> warp_contacts.Hand:
+    """Fields of all preshapes, and where they can touch something, the hand before it closes included."""
     uploaded = upload_gripper(gripper, device)
     out_of_reach = []
     for preshape in gripper.preshapes:
@@ -215,7 +210,9 @@ def _touching_hand(gripper: Gripper, device: str) -> tuple[warp_contacts.Hand, w
     hand.arrival_levels, hand.arrival_step = uploaded.arrival_levels, ARRIVAL_STEP
     hand.pivot = wp.array(uploaded.pivots, dtype=wp.vec3, device=device)
     hand.approach = wp.vec3(*gripper.approach)
-    return hand, pack_bytes(out_of_reach, device)
+    hand.distance_levels, hand.distance_step = uploaded.matching_levels, DISTANCE_STEP
+    hand.out_of_reach = pack_bytes(out_of_reach, device)
+    return hand
 
 
 def _room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contacts:
@@ -231,8 +228,9 @@ def _room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contact
 def _room_for_points(n: int, fingers: int, room: int, device: str) -> warp_contacts.Reached:
     reached = warp_contacts.Reached()
     reached.index = wp.empty((n, room), dtype=wp.int32, device=device)
-    reached.point = wp.empty((n, room), dtype=wp.vec3, device=device)
-    reached.normal = wp.empty((n, room), dtype=wp.vec3, device=device)
+    reached.blocks = wp.empty((n, -(-room // BLOCK) * 3 * BLOCK), dtype=wp.float32, device=device)
+    reached.count = wp.empty((n, fingers + 1), dtype=wp.int32, device=device)
+    reached.near = wp.empty((n, fingers + 1, room), dtype=wp.int32, device=device)
     reached.excess = wp.empty((n, fingers + 1, room), dtype=wp.float32, device=device)
     return reached
 

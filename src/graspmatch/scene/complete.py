@@ -88,7 +88,7 @@ def far_side(
     """
     if len(seen.points) < FEWEST:
         return None
-    voxels = _voxels(seen.points, table, lines.origin)
+    voxels = _voxels(seen.points, table, lines.origin, deep=1.0)
     points = seen.points @ voxels.R_world_grid
     surface, free = _surface_and_free(seen.points, lines, voxels)
     assert seen.normals is not None  # every scene estimates them
@@ -115,7 +115,7 @@ def hidden_part(
     the target. The surface of it, without what is beside the points given."""
     if len(points) < FEWEST:
         return np.zeros((0, 3))
-    voxels = _voxels(points, table, lines.origin)
+    voxels = _voxels(points, table, lines.origin, deep=0.0)
     surface, free = _surface_and_free(points, lines, voxels)
     solid = _nearest_to(points, target, surface | (_extruded(surface) & ~free), voxels)
     return _unseen_surface(solid, points, voxels).points
@@ -131,7 +131,8 @@ def _surface_and_free(
     return surface, free
 
 
-def _voxels(points: Float[Array, "n 3"], table: Plane, origin: Float[Array, "3"]) -> Voxels:
+def _voxels(points: Float[Array, "n 3"], table: Plane, origin: Float[Array, "3"], *, deep: float) -> Voxels:
+    """Around points, and so much of their width more behind them."""
     up = table.normal
     away = points.mean(axis=0) - origin
     away = away - (away @ up) * up
@@ -142,7 +143,7 @@ def _voxels(points: Float[Array, "n 3"], table: Plane, origin: Float[Array, "3"]
     low, high = (points @ R).min(axis=0), (points @ R).max(axis=0)
     spacing = float(np.clip(np.cbrt(np.prod(np.maximum(high - low, FINEST))) / CELLS, FINEST, COARSEST))
     low, high = low - 3 * spacing, high + 3 * spacing
-    high[1] += high[0] - low[0]  # as deep as wide, at most
+    high[1] += deep * (high[0] - low[0])
     low[2] = table.offset
     shape = np.ceil((np.maximum(high, low + spacing) - low) / spacing).astype(int)
     return Voxels(R, low, spacing, (int(shape[0]), int(shape[1]), int(shape[2])))
@@ -197,8 +198,14 @@ def _nearest_to(
     if others is None or len(others) == 0:
         return solid
     both = np.concatenate([points, others]) @ voxels.R_world_grid
-    field = nearest_field(both, voxels.low + voxels.spacing / 2, voxels.shape, voxels.spacing, "cpu")
-    return solid & (field.index.numpy().reshape(voxels.shape) < len(points))
+    index = np.argwhere(solid)
+    low, high = index.min(axis=0), index.max(axis=0) + 2  # a field has two nodes along each axis at least
+    shape = (int(high[0] - low[0]), int(high[1] - low[1]), int(high[2] - low[2]))
+    field = nearest_field(both, voxels.low + (low + 0.5) * voxels.spacing, shape, voxels.spacing, "cpu")
+    nearest = field.index.numpy().reshape(shape)[tuple((index - low).T)]
+    result = np.zeros_like(solid)
+    result[tuple(index[nearest < len(points)].T)] = True
+    return result
 
 
 def _in_one_piece(solid: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:

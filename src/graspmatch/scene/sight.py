@@ -64,9 +64,8 @@ def sight_lines(view: View, target_world: Float[Array, "n 3"], reach: float) -> 
         near = np.flatnonzero((np.abs(x) < slope * z) & (np.abs(y) < slope * z))  # false of what was not seen
     z = z[near]
     column, row = (half + np.rint(focal * side[near] / z).astype(int) for side in (x, y))
-    order = np.argsort(-z)  # of those in one pixel the nearest is written last
     depth = np.full((2 * half + 1, 2 * half + 1), np.inf, dtype=np.float32)
-    depth[row[order], column[order]] = z[order]
+    np.minimum.at(depth.reshape(-1), row * len(depth) + column, z)
     depth = np.where(np.isfinite(depth), depth, _nearest_around(depth))  # rays between pixels, and pixels that failed
     return SightLines(np.where(np.isfinite(depth), depth, np.nan).astype(np.float32), R, origin, focal)
 

@@ -154,9 +154,8 @@ def test_without_errors_every_trial_is_the_plan(franka, judge):
 def test_an_arrival_keeps_its_clearance_and_some_are_inexact(judge):
     closed = around(judge, 8)
     unmoved = np.tile(np.eye(4), (2, 1, 1))
-    clearance = np.minimum(
-        point_clearance(closed, judge.space, judge.space.coarse), table_clearance(closed, judge.space)
-    )
+    coarse = replace(judge.space, points=judge.space.coarse)
+    clearance = np.minimum(point_clearance(closed, coarse), table_clearance(closed, judge.space))
     wanted = float(np.sort(clearance)[4] + np.sort(clearance)[5]) / 2
     trials = replace(judge.trials, way_in=unmoved, clearance=wanted, inexact=1.0)
     np.testing.assert_array_equal(clear_share(closed, trials, judge.space), clearance > wanted)

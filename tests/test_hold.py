@@ -13,6 +13,7 @@ from graspmatch.config import GripConfig
 from graspmatch.geometry import se3
 from graspmatch.gripper.load import load_gripper
 from graspmatch.kernels import warp_contacts
+from graspmatch.kernels.fields import in_blocks
 from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.hold import GRAVITY, Held, Touchable, drives, hold, touchable
 from graspmatch.scene.scene import Scene
@@ -263,6 +264,7 @@ def with_arrays(body: warp_contacts.Body, change) -> warp_contacts.Body:
         value = getattr(body, name)
         is_array = isinstance(value, wp.array)
         setattr(other, name, wp.array(change(name, value.numpy()), dtype=value.dtype) if is_array else value)
+    other.blocks = wp.array(in_blocks(other.points.numpy()).ravel(), dtype=wp.float32)
     return other
 
 

@@ -260,6 +260,28 @@ def test_least_distance_is_that_of_all_points(rng, device):
     np.testing.assert_allclose(out.numpy(), expected, atol=2e-6)
 
 
+def test_clear_ways_are_those_that_keep_their_distance_to_all_points_and_the_table(rng, device):
+    toy = Corridor(rng, device)
+    field, blocks, poses = toy.inputs([toy.field], 0.00025)
+    shift, turn = rng.normal(size=(40, 3)) * 0.02, se3.random_quaternions(40, rng)
+    turn[:20] = [1.0, 0.0, 0.0, 0.0]
+    corners = rng.normal(size=(1, 5, 3)) * 0.02
+    out = wp.empty(len(toy.t), dtype=wp.int32, device=device)
+    moves = [vec3(shift, device), wp.array(np.roll(turn, -1, axis=-1), dtype=wp.quat, device=device)]
+    hulls = wp.array(corners, dtype=wp.vec3, device=device)
+    inputs = [*field, blocks, hulls, wp.vec3(0.0, 0.0, 1.0), -0.07, 0.002, *moves, *poses]
+    launch(warp_avoid.clear_ways, len(toy.t), inputs, [out], device, lanes=warp_blocks.LANES)
+    expected = np.zeros(len(toy.t), dtype=int)
+    for i, (t, q) in enumerate(zip(toy.t, toy.q, strict=True)):
+        R = se3.matrix_from_quaternion(q)
+        for d, r in zip(shift, se3.matrix_from_quaternion(turn), strict=True):
+            distance = grids.interpolate(toy.field, (toy.cloud - t - R @ d) @ R @ r).min()
+            height = (corners[0] @ (R @ r).T + t + R @ d)[:, 2].min() + 0.07
+            expected[i] += min(distance, height) > 0.002
+    assert 0 < expected.sum() < 40 * len(toy.t)
+    np.testing.assert_array_equal(out.numpy(), expected)
+
+
 def test_backing_off_ends_at_the_first_step_that_is_clear_of_all_points(rng, device):
     toy = Corridor(rng, device)
     field, blocks, poses = toy.inputs([toy.field], 0.00025)

@@ -216,3 +216,24 @@ def test_narrowest_width_of_a_box_is_its_shortest_edge_whatever_way_it_is_turned
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     assert narrowest_width(corners @ turn.T) == pytest.approx(0.05)
     assert narrowest_width(corners[corners[:, 0] > 0]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_least_axis_is_that_of_the_smallest_eigenvalue(rng):
+    shape = rng.normal(size=(500, 3, 3)) * 10.0 ** rng.uniform(-3, 0, size=(500, 3, 1))
+    matrices = shape @ np.swapaxes(shape, 1, 2)
+    values, axes = cloud.least_axis(matrices)
+    expected = np.linalg.eigvalsh(matrices)
+    assert np.all(np.abs(values - expected[:, 0]) < 1e-10 * expected[:, 2])
+    off = np.linalg.norm(np.einsum("nij,nj->ni", matrices, axes) - values[:, None] * axes, axis=1)
+    assert np.all(off < 1e-9 * expected[:, 2])
+    np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1.0)
+
+
+@pytest.mark.parametrize("values", [(0, 0, 0), (0, 0, 1), (1, 1, 1), (1, 1, 2), (1, 2, 2), (0, 1, 1)])
+def test_least_axis_of_equal_eigenvalues_is_one_of_theirs(values, rng):
+    turn = rotation_exp(rng.normal(size=(20, 3)))
+    matrices = turn @ np.diag(np.array(values, dtype=float)) @ np.swapaxes(turn, 1, 2)
+    found, axes = cloud.least_axis(matrices)
+    np.testing.assert_allclose(found, values[0], atol=1e-9)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", matrices, axes), values[0] * axes, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1.0)

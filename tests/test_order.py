@@ -14,9 +14,9 @@ from depth_scenes import Box, Cylinder, K, Setting, noisy, render
 from graspmatch.apps.cli import main
 from graspmatch.config import PlannerConfig, RefiningConfig, SeedingConfig
 from graspmatch.planner.order import Pick, plan_all
-from graspmatch.planner.stacked import covered_share, is_stood_on, stands_on
 from graspmatch.scene.every import scenes_of_depth, scenes_of_view
 from graspmatch.scene.scene import Scene
+from graspmatch.scene.stacked import covered_share, is_stood_on, stands_on
 from graspmatch.types import Plane, PointCloud
 from test_planner import box_points
 

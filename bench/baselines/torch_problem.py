@@ -22,7 +22,7 @@ from graspmatch.geometry.se3 import quaternion_from_matrix
 from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.match import target_spacing
 from graspmatch.planner.seed import asked_for
-from graspmatch.planner.thin import thinned
+from graspmatch.geometry.thin import thinned
 from graspmatch.planner.upload import inverse_inertia
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper

@@ -11,6 +11,9 @@ GRID_SHIFT = 0.382
 """How far before the lowest point the voxel grid begins, in voxels: clouds sampled on a grid of their own would lie
 exactly on the borders of a grid that begins at the point, and rounding would decide on which side."""
 
+UNSURE = 1e-6
+"""The two least eigenvalues are one where the axis, relative to the spread of all three, is told by less than this."""
+
 
 def distinct_rows(rows: Float[Array, "n c"]) -> Int[Array, "m"]:
     """Indices of one copy of each row, in an order that depends on the values of the rows only."""
@@ -119,11 +122,39 @@ def estimate_normals(
     """
     local = points[index]
     local = local - local.mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(np.swapaxes(local, 1, 2) @ local)
-    normals = np.ascontiguousarray(axes[:, :, 0])
+    _, normals = least_axis(np.swapaxes(local, 1, 2) @ local)
     if sensor_origin is None:
         return normals * outward_signs(points, normals, index[:, :8])[:, None]
     return np.where(_dot(sensor_origin - points, normals)[:, None] < 0, -normals, normals)
+
+
+def least_axis(symmetric: Float[Array, "n 3 3"]) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
+    """The least eigenvalue of symmetric matrices, and a unit vector along its axis: in closed form, which takes a fifth
+    of the time of `numpy.linalg.eigh` (Smith 1961, Eigenvalues of a symmetric 3 x 3 matrix).
+
+    The axis is perpendicular to the rows of A - lambda I: their longest cross product. Where two eigenvalues are the
+    least there is no such axis, and `eigh` chooses one.
+    """
+    trace = np.trace(symmetric, axis1=1, axis2=2)
+    deviator = symmetric - (trace / 3)[:, None, None] * np.eye(3)
+    scale = np.sqrt(np.einsum("nij,nij->n", deviator, deviator) / 6)
+    third = _determinant(deviator) / np.maximum(2 * scale**3, 1e-300)
+    value = trace / 3 + 2 * scale * np.cos(np.arccos(np.clip(third, -1.0, 1.0)) / 3 + 2 * np.pi / 3)
+    rows = symmetric - value[:, None, None] * np.eye(3)
+    normals = np.cross(rows, np.roll(rows, -1, axis=1))
+    square = np.einsum("nij,nij->ni", normals, normals)
+    longest = np.argmax(square, axis=1)
+    every = np.arange(len(symmetric))
+    length = np.sqrt(square[every, longest])
+    axis = normals[every, longest] / np.maximum(length, 1e-300)[:, None]
+    unsure = length <= UNSURE * scale**2
+    if unsure.any():
+        value[unsure], axis[unsure] = (part[..., 0] for part in np.linalg.eigh(symmetric[unsure]))
+    return value, axis
+
+
+def _determinant(m: Float[Array, "n 3 3"]) -> Float[Array, "n"]:
+    return np.einsum("ni,ni->n", m[:, 0], np.cross(m[:, 1], m[:, 2]))
 
 
 def outward_signs(

@@ -9,9 +9,9 @@ from jaxtyping import Float
 
 from graspmatch.config import CollisionConfig, PathConfig
 from graspmatch.geometry.cloud import narrowest_width
+from graspmatch.geometry.thin import thinned
 from graspmatch.planner.path import BLOCKED, LOADED, OUT_OF_REACH, OUTSIDE_BOX, OUTSIDE_CONE
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.thin import thinned
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper
 

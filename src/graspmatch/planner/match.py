@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from graspmatch.config import MatchingConfig
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import voxel_downsample
+from graspmatch.geometry.thin import thinned
 from graspmatch.kernels import warp_match, warp_steps
 from graspmatch.kernels.fields import BlockCloud, covering_nearest_field, in_block_order, upload_blocks
 from graspmatch.kernels.launch import launch
@@ -23,7 +24,6 @@ from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_fields import NearestField
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.recording import Recording
-from graspmatch.planner.thin import thinned
 from graspmatch.planner.upload import DeviceHand, pose_arrays, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from graspmatch.config import PlannerConfig
+from graspmatch.geometry.thin import thinned
 from graspmatch.planner.path import Reach
 from graspmatch.planner.plan import plan
-from graspmatch.planner.stacked import stands_on
-from graspmatch.planner.thin import thinned
 from graspmatch.scene.scene import Scene
+from graspmatch.scene.stacked import stands_on
 from graspmatch.types import GraspSet, Gripper, PointCloud
 
 Array = np.ndarray

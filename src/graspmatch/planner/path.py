@@ -16,16 +16,16 @@ from jaxtyping import Bool, Float
 
 from graspmatch.config import PathConfig, PlannerConfig
 from graspmatch.geometry import se3
+from graspmatch.geometry.thin import thinned
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_path import way_clearance
 from graspmatch.planner.avoid import Space
 from graspmatch.planner.candidates import Candidates
-from graspmatch.planner.stacked import covered_share, is_stood_on
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.thin import thinned
 from graspmatch.planner.upload import pose_arrays
 from graspmatch.scene.scene import Scene
+from graspmatch.scene.stacked import covered_share, is_stood_on
 from graspmatch.types import GraspmatchError
 
 Array = np.ndarray

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from graspmatch.geometry.cloud import least_axis
 from graspmatch.scene.joining import Surface, joined
 from graspmatch.types import Plane
 
@@ -86,13 +87,12 @@ def surface_around(
     step = (points[around.index] - points[:, None]) * around.is_linked[:, :, None]
     count = around.is_linked.sum(axis=1)
     local = (step - step.sum(axis=1, keepdims=True) / count[:, None, None]) * around.is_linked[:, :, None]
-    values, axes = np.linalg.eigh(np.swapaxes(local, 1, 2) @ local)
-    normals = axes[:, :, 0]
+    least, normals = least_axis(np.swapaxes(local, 1, 2) @ local)
     normals = normals * np.where(np.einsum("ni,ni->n", origin - points, normals) < 0, -1.0, 1.0)[:, None]
     turn = normals[around.index] - normals[:, None]
     weight = around.is_linked / np.maximum(np.linalg.norm(step, axis=-1), 1e-9)
     inwards = -np.einsum("nkc,nkc->nk", turn, step) * weight
-    return inwards.sum(axis=1) / np.maximum(count - 1, 1), np.sqrt(np.maximum(values[:, 0], 0) / count)
+    return inwards.sum(axis=1) / np.maximum(count - 1, 1), np.sqrt(np.maximum(least, 0) / count)
 
 
 def _neighbourhood(points: Float[Array, "n 3"], spacing: float) -> Neighbourhood:

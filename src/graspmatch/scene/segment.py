@@ -79,7 +79,7 @@ def segment(view: View, *, table: Plane | None = None) -> Segmentation:
     Of the planes that could be the table, the largest is tried first, and the next ones if nothing stands on it.
     """
     seen = np.flatnonzero(view.is_seen)
-    points = view.points[seen]
+    points = view.points.take(seen, axis=0)
     supports = find_planes(points, origin=view.origin, up=view.up) if table is None else [_given(points, table)]
     first: SupportPlane | None = None
     for support in supports:
@@ -103,7 +103,7 @@ def _labels(points: Float[Array, "m 3"], support: SupportPlane, view: View) -> I
     if above.any():
         sample = slice(None, None, max(len(points) // OUTLINE_POINTS, 1))
         table_points = points[sample][np.abs(_heights(points[sample], support.plane)) < HIGHEST]
-        label[above] = _things(points[above], table_points, support.plane, view)
+        label[above] = _things(np.compress(above, points, axis=0), table_points, support.plane, view)
     return label
 
 

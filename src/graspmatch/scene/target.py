@@ -81,9 +81,10 @@ def _doubt(view: View) -> str:
 
 def cut_out(view: View, found: Segmentation, index: int, *, notes: tuple[str, ...] = ()) -> Target:
     """One object of a segmentation, and all else above the table that is near it."""
-    points = view.points[found.labels == index]
+    points = np.compress(found.labels == index, view.points, axis=0)
     low, high = points.min(axis=0) - SURROUNDINGS, points.max(axis=0) + SURROUNDINGS
-    others = view.points[(found.labels == OTHER) | ((found.labels >= 0) & (found.labels != index))]
+    is_other = (found.labels == OTHER) | ((found.labels >= 0) & (found.labels != index))
+    others = np.compress(is_other, view.points, axis=0)
     near = np.all([(others[:, i] > low[i]) & (others[:, i] < high[i]) for i in range(3)], axis=0)
     table = None if found.table is None else _plane_in_world(view, found.table)
     return Target(to_world(view, points), to_world(view, others[near]), table, notes)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from depth_scenes import Box, Cylinder, Setting, camera_at, noisy, render
 from graspmatch.geometry.se3 import rotation_exp
@@ -86,6 +87,19 @@ def test_nothing_is_guessed_where_the_camera_saw_free_space(thing: Box | Cylinde
     assert lines is not None
     ahead = lines.beyond(guessed(scene).points)
     assert np.all(~(ahead > 0.006))
+
+
+@pytest.mark.parametrize("thing", [CAN, CARTON, CUP])
+def test_places_in_doubt_are_hidden_and_beside_the_object(thing: Box | Cylinder) -> None:
+    scene = scene_of(thing)
+    assert scene.view is not None
+    assert len(scene.doubtful) > 100
+    lines = sight_lines(scene.view, scene.seen_points, 2 * HAND_REACH)
+    assert lines is not None
+    assert np.all(~(lines.beyond(scene.doubtful) > 0.006))
+    apart = KDTree(scene.target.points).query(scene.doubtful)[0]
+    assert np.percentile(apart, 95) < 0.02
+    assert len(scene_of(thing, complete=False).doubtful) == 0
 
 
 def test_a_cup_stays_open() -> None:

@@ -45,11 +45,15 @@ def franka() -> Gripper:
     return load_gripper("franka_hand")
 
 
-@pytest.fixture(scope="module")
-def judge(franka) -> Judge:
+def box_scene() -> Scene:
     """A box of 60 x 40 x 60 mm on a table."""
     corners = np.stack(np.meshgrid([-0.03, 0.03], [-0.02, 0.02], [0.0, 0.06], indexing="ij"), axis=-1).reshape(-1, 3)
-    scene = Scene.from_mesh(convex_hull(corners), table=0.0)
+    return Scene.from_mesh(convex_hull(corners), table=0.0)
+
+
+@pytest.fixture(scope="module")
+def judge(franka) -> Judge:
+    scene = box_scene()
     problem = prepare(scene, franka, CONFIG.matching, np.random.default_rng(0), "cpu")
     return judge_of(scene, franka, upload_space(scene, franka, "cpu"), problem, CONFIG, "cpu")
 
@@ -164,6 +168,25 @@ def test_an_arrival_keeps_its_clearance_and_some_are_inexact(judge):
     some = clear_share(closed, replace(judge.trials, inexact=0.25), judge.space)
     np.testing.assert_allclose(some, 0.75 + 0.25 * inexact)
     np.testing.assert_array_equal(clear_share(closed, replace(judge.trials, inexact=0.0), judge.space), 1.0)
+
+
+def test_a_hand_where_nobody_knows_what_is_there_is_less_sure(franka, judge):
+    closed = around(judge, 1)
+    side = closed.T_world_gripper[0, :3, :3] @ franka.closing
+    finger = np.arange(0.0, 0.03, 0.003)[:, None] * np.array([0.0, 0.0, 1.0]) + 0.047 * side + [0.0, 0.0, 0.02]
+    scene = replace(box_scene(), doubtful=finger)
+    space = upload_space(scene, franka, "cpu")
+    trials = draw_trials(CONFIG.grip, 0, is_exact=False)
+    assert clear_share(closed, trials, judge.space)[0] > 0.9
+    assert clear_share(closed, trials, space)[0] < 0.3
+    assert point_clearance(closed, space) == point_clearance(closed, judge.space)  # it may be free all the same
+
+
+def test_what_a_camera_sees_is_inexact():
+    mesh, view = (draw_trials(CONFIG.grip, 0, is_exact=is_exact).inexact for is_exact in (True, False))
+    assert mesh < view == 1.0
+    config = replace(CONFIG.grip, inexact=0.5)
+    assert draw_trials(config, 0, is_exact=True).inexact == draw_trials(config, 0, is_exact=False).inexact == 0.5
 
 
 def test_a_hand_that_barely_fits_is_less_sure_than_one_with_room(franka, judge):

@@ -167,9 +167,10 @@ class GripConfig:
     """[rad]"""
     way_clearance: float = 0.001
     """That a displaced hand must still keep on its way in: meshes, scans and fields are wrong by as much [m]."""
-    inexact: float = 0.25
+    inexact: float | None = None
     """Share of arrivals that are so displaced; in the others the hand comes as planned. 1 for a robot that is never
-    better calibrated than that."""
+    better calibrated than that. None: 0.25 where a mesh tells the whole surface, else 1, for what a camera sees is
+    never where it is seen."""
     points: int = 2000
     """Of the object, at most so many ..."""
     reachable_points: int = 400

@@ -170,8 +170,8 @@ class GraspSet:
     """Driven joint values at first contact. Fingers on one drive stop at the mean of their contacts: where they meet
     the object one after the other, the first pushes it until the last touches too."""
     score: Float[Array, "n"]
-    """Confidence, 0 to 1: the share of grasps like this one that arrive and hold where one arrival in four
-    (`grip.inexact`) is a few millimetres off."""
+    """Confidence, 0 to 1: the share of grasps like this one that arrive and hold where one arrival in four is a few
+    millimetres off; of what a camera sees, every one (`grip.inexact`)."""
     quality: Float[Array, "n"]
     """Smallest wrench that the closed fingers cannot resist besides the object's weight, averaged over small errors of
     the pose, in units of one finger's force; below zero, what is missing to hold the object."""

@@ -79,6 +79,8 @@ class Space:
     """Target and obstacles, object frame."""
     coarse: BlockCloud
     """Every so manieth of them."""
+    suspected: BlockCloud
+    """The same, and the places of which nobody knows whether the target is there."""
     centre_of_mass: Float[np.ndarray, "3"]
     hand: DeviceHand
     device: str
@@ -89,11 +91,13 @@ def upload_space(scene: Scene, gripper: Gripper, device: str) -> Space:
     clouds = [in_block_order(cloud.points - scene.centre_of_mass) for cloud in (scene.target, scene.obstacles)]
     every = max(sum(len(cloud) for cloud in clouds) // COARSE_POINTS, 1)
     coarse = [cloud[::every] for cloud in clouds]
+    doubtful = in_block_order(scene.doubtful - scene.centre_of_mass)
     return Space(
         gripper=gripper,
         table=scene.table,
         points=upload_blocks(clouds, device, scattered=True),
         coarse=upload_blocks(coarse, device, scattered=True),
+        suspected=upload_blocks([*coarse, doubtful], device, scattered=True),
         centre_of_mass=scene.centre_of_mass,
         hand=upload_gripper(gripper, device),
         device=device,
@@ -167,11 +171,11 @@ def clear_ways(
     candidates: Candidates, errors: Float[np.ndarray, "k 4 4"], clearance: float, space: Space
 ) -> Int[np.ndarray, "n"]:
     """How many of the displacements (gripper frame) leave more than a clearance [m] between hand and table, and between
-    its way in and every so manieth point."""
+    its way in and every so manieth point, and what may be one."""
     up, table = np.zeros(3), -np.inf
     if space.table is not None:
         up, table = space.table.normal, float(space.table.offset - space.table.normal @ space.centre_of_mass)
-    inputs = [*corridor_inputs(space, space.coarse), space.hand.hulls, wp.vec3(*up), table, clearance]
+    inputs = [*corridor_inputs(space, space.suspected), space.hand.hulls, wp.vec3(*up), table, clearance]
     inputs += [*motion_arrays(errors, space.device), *pose_arrays(candidates, space.centre_of_mass, space.device)]
     count = wp.empty(len(candidates), dtype=wp.int32, device=space.device)
     launch(warp_avoid.clear_ways, len(candidates), inputs, [count], space.device, lanes=LANES, chunks=4)

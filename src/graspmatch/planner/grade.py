@@ -24,6 +24,8 @@ WORST = -2.0
 """Margins as the fingers meet the object count no less."""
 STANDING_TRIALS = 2
 """So many of the trials ask for the standing margin, which varies little."""
+INEXACT = 0.25
+"""Of the arrivals at a known surface, so many are inexact."""
 LOSS_SCALE = 0.05
 """[m]"""
 CALIBRATION = (-1.325, 0.288, 4.627, -0.693, 1.343, 0.236)
@@ -53,14 +55,15 @@ class Trials:
         return len(self.friction)
 
 
-def draw_trials(config: GripConfig, seed: int) -> Trials:
+def draw_trials(config: GripConfig, seed: int, *, is_exact: bool = True) -> Trials:
     """Small errors of the pose, as of a robot's wrist: turns about the hand's base move its fingertips too. And the
-    frictions in turn."""
+    frictions in turn. The scene is exact where a mesh tells the whole surface."""
     rng = np.random.default_rng(seed)
     error = draw_errors(config.trials, config.position_error, config.angle_error, rng)
     way_in = draw_errors(config.ways_in, config.way_position_error, config.way_angle_error, rng)
     friction = np.resize(np.array(config.frictions), config.trials)
-    return Trials(way_in, error, friction, config.way_clearance, config.inexact)
+    inexact = (INEXACT if is_exact else 1.0) if config.inexact is None else config.inexact
+    return Trials(way_in, error, friction, config.way_clearance, inexact)
 
 
 def draw_errors(count: int, position: float, angle: float, rng: np.random.Generator) -> Float[Array, "k 4 4"]:

@@ -66,7 +66,8 @@ def judge_of(
     """What judging needs, made once for a plan."""
     target = touchable(scene, config.grip.points, device)
     way = way_of(scene, space, config, reach)
-    return Judge(gripper, space, problem, target, way, draw_trials(config.grip, config.seed), config, device)
+    trials = draw_trials(config.grip, config.seed, is_exact=scene.mesh is not None)
+    return Judge(gripper, space, problem, target, way, trials, config, device)
 
 
 def roomiest(closed: Closed, judge: Judge) -> Closed:

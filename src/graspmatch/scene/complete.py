@@ -28,6 +28,12 @@ FINEST, COARSEST, CELLS = 0.0025, 0.006, 30
 """Edge of a voxel [m], and how many go along the side of a cube as large as what was seen."""
 AWAY = 0.005
 """Guesses nearer than this to a point that was seen are none [m]."""
+DOUBT = 0.01
+"""How far the object may reach beyond its guessed far side [m]."""
+EDGE = 0.005
+"""Places nearer than this to what was seen to be free [m] are not in doubt: edges are seen a little aside."""
+EVERY = 4
+"""One in so many of the places in doubt is kept: they lie so close that a hand meets many."""
 SMOOTHING = 1.2
 """Normals are the slope of the voxels smoothed so far [voxels]."""
 FEWEST = 8
@@ -42,6 +48,8 @@ class Completion:
     """Its unseen surface with outward normals; nothing of its underside."""
     centre_of_mass: Float[Array, "3"]
     """Of a solid of one density with the guessed back [m]."""
+    doubtful: Float[Array, "k 3"]
+    """Places beside it that nobody saw: it may reach farther than was guessed [m]."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +113,7 @@ def far_side(
     return Completion(
         guessed=_unseen_surface(_in_one_piece(hollow, free), seen.points, voxels),
         centre_of_mass=voxels.centres(np.argwhere(solid)).mean(axis=0),
+        doubtful=_doubtful(solid, free, voxels),
     )
 
 
@@ -219,6 +228,15 @@ def _in_one_piece(solid: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -> Bo
     if piece.max() < 2:
         return solid
     return piece == 1 + np.argmax(np.bincount(piece.ravel())[1:])
+
+
+def _doubtful(solid: Bool[Array, "x y z"], free: Bool[Array, "x y z"], voxels: Voxels) -> Float[Array, "k 3"]:
+    """Hidden places next to a solid, but for those beside what was seen to be free."""
+    from scipy.ndimage import binary_dilation
+
+    near = np.asarray(binary_dilation(solid, iterations=max(round(DOUBT / voxels.spacing), 1)))
+    aside = np.asarray(binary_dilation(free, iterations=max(round(EDGE / voxels.spacing), 1)))
+    return voxels.centres(np.argwhere(near & ~solid & ~aside)[::EVERY])
 
 
 def _below_openings(surface: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -62,6 +62,8 @@ class Scene:
     """What was dropped, turned or assumed, one sentence each."""
     view: View | None = None
     """What the sensor saw, where the scene was cut from it: it knows the space that is free and what is hidden."""
+    doubtful: Float[Array, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """Places beside the target that nobody saw [m]: where it may be, if it is larger than was guessed."""
     is_guessed: Bool[Array, "n"] | None = None
     """Which points of the target nobody saw: its far side as it is likely to be; None where all are measured."""
 
@@ -277,6 +279,7 @@ def completed(scene: Scene) -> Scene:
         target=PointCloud(points, normals),
         obstacles=PointCloud(np.concatenate([scene.obstacles.points, hidden])),
         centre_of_mass=found.centre_of_mass,
+        doubtful=found.doubtful,
         is_guessed=np.arange(len(points)) >= len(seen.points),
     )
 

@@ -115,6 +115,17 @@ def test_every_object_of_an_image_has_the_others_as_obstacles():
     assert set(marked) == {5, 9}
 
 
+def test_without_a_choice_the_target_is_one_on_which_nothing_stands():
+    depth, ids = render(STACK)
+    image = noisy(depth, np.random.default_rng(0))
+    mask = np.where(ids == 2, 0, ids + 1)  # the stack alone: a large box under a small one
+    assert np.count_nonzero(mask == 1) > np.count_nonzero(mask == 2)
+    scene = Scene.from_depth(image, STACK.camera, mask=mask, table=0.0)
+    assert scene.seen_points[:, 2].min() > 0.05
+    lower = Scene.from_depth(image, STACK.camera, mask=mask, object=1, table=0.0)
+    assert lower.seen_points[:, 2].max() < 0.07
+
+
 def test_a_stack_that_a_camera_sees_is_picked_from_the_top(toy):
     depth, ids = render(STACK)
     scenes = scenes_of_depth(noisy(depth, np.random.default_rng(0)), STACK.camera, mask=ids + 1)

@@ -74,7 +74,7 @@ def way_of(scene: Scene, space: Space, config: PlannerConfig, reach: Reach | Non
     target, obstacles = (thinned(cloud.points, SWEPT_POINTS) for cloud in (scene.target, scene.obstacles))
     is_loaded, is_covered = False, True
     if scene.table is not None and config.path.lift_height > 0:
-        is_loaded = is_stood_on(target, obstacles, scene.table)
+        is_loaded = is_stood_on(scene.target.points, scene.obstacles.points, scene.table)
         is_covered = meets(target, obstacles, config.path.lift_height * scene.table.normal)
     return Way(space, config.path, config.collision.clearance, target, obstacles, is_loaded, is_covered, reach)
 

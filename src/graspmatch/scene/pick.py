@@ -8,11 +8,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from graspmatch.geometry import thin
 from graspmatch.scene.pieces import linked_parts
 from graspmatch.scene.plane import SupportPlane
 from graspmatch.scene.segment import NOTHING, OTHER, TABLE, Segmentation, above_table, described, support_plane, thinned
-from graspmatch.scene.stacked import stands_on
 from graspmatch.scene.view import View
 from graspmatch.types import GraspmatchError, Plane
 
@@ -24,12 +22,10 @@ NEAR_METRES = 0.03
 CORE = 0.1
 """Parts of a masked object that are smaller than this share of it are what the mask's edge spilled onto."""
 FEWEST_MASKED = 30
-POINTS = 1000
-"""Of each object, about so many say what stands on what."""
 
 
 def choose(view: View, found: Segmentation, *, number: int | None = None, at: Sequence[float] | None = None) -> int:
-    """The index of one object: that of the number, or the one at a place, or the largest on which nothing stands.
+    """The index of one object: that of the number, or the one at a place, or the only or largest one.
 
     at: column and row [pixels] in an organised view, else x, y or x, y, z [m] in the frame of the cloud.
     """
@@ -41,22 +37,8 @@ def choose(view: View, found: Segmentation, *, number: int | None = None, at: Se
             raise GraspmatchError(f"There is no object {number}. Found: {found.describe()}.")
         return int(matching[0])
     if at is None:
-        return _largest_free(view, found)
-    return _at_pixel(view, found, at) if view.shape is not None else _at_place(view, found, at)
-
-
-def _largest_free(view: View, found: Segmentation) -> int:
-    """The object of which most is seen, of those on which none of the others stands; of all, if there is none such."""
-    if found.table is None or len(found) < 2:
         return 0
-    every = range(len(found))
-    clouds = [
-        thin.thinned(np.compress(found.labels == i, view.points, axis=0).astype(np.float64), POINTS) for i in every
-    ]
-    for i in every:
-        if not any(stands_on(clouds[j], clouds[i], found.table) for j in every if j != i):
-            return i
-    return 0
+    return _at_pixel(view, found, at) if view.shape is not None else _at_place(view, found, at)
 
 
 def segment_by_mask(view: View, mask: Shaped[Array, "h w"], *, table: Plane | None = None) -> Segmentation:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -19,7 +20,8 @@ from graspmatch.scene.depth import DepthImage
 from graspmatch.scene.depth_view import Correct, depth_view, plane_in_view
 from graspmatch.scene.read import CloudFile, read_cloud, read_mesh, read_object, triangles
 from graspmatch.scene.sight import sight_lines
-from graspmatch.scene.target import Target, target_of
+from graspmatch.scene.stacked import is_stood_on
+from graspmatch.scene.target import Target, targets_in_turn
 from graspmatch.scene.view import View, to_world, view_of_cloud, with_up
 from graspmatch.types import GraspmatchError, Plane, PointCloud
 
@@ -157,7 +159,8 @@ class Scene:
         camera: intrinsics (3, 3) or their file, or a `Camera`, whose pose makes the world; without a pose the world is
             the camera's frame. An NPZ file of the depth may hold them as `K`.
         object, at, mask: its number, a pixel (column, row) of it, or its pixels (h, w); without any, it is that of
-            which most is seen. A mask may mark several objects by their values, which are their numbers.
+            which most is seen, of those on which nothing stands. A mask may mark several objects by their values, which
+            are their numbers.
         table: `auto` finds it; its height in the world needs the camera's pose.
         metres_per_unit: what one step of the depth is [m]; without it, integers are millimetres and floats metres.
         correct: `auto` makes the table come out where it is, if its height is given: half of what it leans is put on
@@ -167,8 +170,8 @@ class Scene:
         complete: guess the far side of the object, where there is a table and the camera's place is known.
         """
         view, plane = depth_view(depth, camera, table, metres_per_unit=metres_per_unit, correct=correct, up=up)
-        target = target_of(view, plane, number=object, at=at, mask=mask)
-        return view_scene(cls, view, target if table is not None else replace(target, table=None), complete=complete)
+        targets = targets_in_turn(view, plane, number=object, at=at, mask=mask)
+        return free_scene(cls, view, targets, with_table=table is not None, complete=complete)
 
     @classmethod
     def from_view(
@@ -195,8 +198,8 @@ class Scene:
             view = cloud_view(view, unit, T_world_cloud, sensor_origin)
         view = with_up(view, up)
         plane = plane_in_view(view, table, _metres(unit))
-        target = target_of(view, plane, number=object, at=at, mask=mask)
-        return view_scene(cls, view, target if table is not None else replace(target, table=None), complete=complete)
+        targets = targets_in_turn(view, plane, number=object, at=at, mask=mask)
+        return free_scene(cls, view, targets, with_table=table is not None, complete=complete)
 
 
 def _mesh_scene(mesh: TriangleMesh, name: str, table: Table, unit: Unit, obstacles: object) -> Scene:
@@ -239,6 +242,20 @@ def _cloud_scene(
         sensor_origin=sensor,
         notes=notes + more,
     )
+
+
+def free_scene(cls: type[Scene], view: View, targets: Iterable[Target], *, with_table: bool, complete: bool) -> Scene:
+    """The scene of the first target on which nothing stands; of the first of all, if there is none such."""
+    if not with_table:
+        targets = (replace(target, table=None) for target in targets)
+    scenes = (view_scene(cls, view, target, complete=complete) for target in targets)
+    first = next(scenes)
+    return next((scene for scene in itertools.chain([first], scenes) if not is_loaded(scene)), first)
+
+
+def is_loaded(scene: Scene) -> bool:
+    """Whether something stands on the target."""
+    return scene.table is not None and is_stood_on(scene.target.points, scene.obstacles.points, scene.table)
 
 
 def view_scene(cls: type[Scene], view: View, target: Target, *, complete: bool) -> Scene:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from graspmatch.geometry import se3
+from graspmatch.geometry.thin import thinned
 from graspmatch.scene.pieces import linked_parts
 from graspmatch.types import Plane
 
@@ -21,6 +22,8 @@ INSIDE = 0.005
 """Feet are over an object if they are so far inside of its outline [m]: what is behind it is not."""
 SHARE = 0.3
 """Of a foot, at least, must be near and inside."""
+POINTS = 1000
+"""Of each cloud, about so many are looked at."""
 SPACING = 0.006
 """About as far are the points of thinned clouds apart [m]: those of one thing are linked to each other."""
 FEWEST = 12
@@ -59,6 +62,7 @@ def is_stood_on(thing: Float[Array, "n 3"], others: Float[Array, "m 3"], table: 
     """Whether one of the parts that other points hang together in stands on a thing."""
     if len(others) == 0:
         return False
+    thing, others = thinned(thing, POINTS), thinned(others, POINTS)
     part = linked_parts(others, SPACING)
     things = np.flatnonzero(np.bincount(part) >= FEWEST)
     return any(stands_on(others[part == i], thing, table) for i in things)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,18 +34,21 @@ class Target:
     notes: tuple[str, ...] = ()
 
 
-def target_of(
+def targets_in_turn(
     view: View,
     table: Plane | None = None,
     *,
     number: int | None = None,
     at: Sequence[float] | None = None,
     mask: str | os.PathLike[str] | Array | None = None,
-) -> Target:
-    """The object of a number, at a place or under a mask; `table` is in the view frame, None to find it."""
+) -> Iterator[Target]:
+    """The object of a number or at a place; without either, all of them, that of which most is seen first. `table` is
+    in the view frame, None to find it."""
     found = _segmented(view, table, mask)
-    index = choose(view, found, number=number, at=at)
-    return cut_out(view, found, index, notes=_notes(found, index, is_chosen=number is not None or at is not None))
+    is_chosen = number is not None or at is not None
+    chosen = [choose(view, found, number=number, at=at)] if is_chosen else range(len(found))
+    for index in chosen:
+        yield cut_out(view, found, index, notes=_notes(found, index, is_chosen=is_chosen))
 
 
 def targets_of(

@@ -62,7 +62,8 @@ def glimpse_of(
 
 
 def scene_of(glimpse: Glimpse) -> Scene:
-    """What the planner makes of the image: the object of which most is seen, and what is around it."""
+    """What the planner makes of the image: the object of which most is seen, of those on which nothing stands, and what
+    is around it."""
     table = 0.0 if glimpse.view.knows_table else "auto"
     return Scene.from_depth(glimpse.shot.depth, glimpse.shot.camera, table=table, complete=glimpse.view.completes)
 

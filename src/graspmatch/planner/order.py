@@ -117,8 +117,9 @@ def _clear(number: int, table: _Table) -> None:
     for pick in table.picks[table.tried[number] :]:
         points = scene.obstacles.points
         if len(points):
-            near = KDTree(pick.scene.target.points).query(points, distance_upper_bound=PICKED)[0] < PICKED
-            scene = replace(scene, obstacles=PointCloud(points[~near]))
+            stays = KDTree(pick.scene.target.points).query(points, distance_upper_bound=PICKED)[0] >= PICKED
+            hidden = None if scene.is_hidden is None else scene.is_hidden[stays]
+            scene = replace(scene, obstacles=PointCloud(points[stays]), is_hidden=hidden)
     table.scenes[number], table.tried[number] = scene, len(table.picks)
 
 

@@ -25,7 +25,7 @@ from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.tally import Tally
 from graspmatch.planner.upload import pose_arrays
 from graspmatch.scene.scene import Scene
-from graspmatch.scene.stacked import covered_share, is_stood_on
+from graspmatch.scene.stacked import covered_share
 from graspmatch.types import GraspmatchError
 
 Array = np.ndarray
@@ -74,7 +74,7 @@ def way_of(scene: Scene, space: Space, config: PlannerConfig, reach: Reach | Non
     target, obstacles = (thinned(cloud.points, SWEPT_POINTS) for cloud in (scene.target, scene.obstacles))
     is_loaded, is_covered = False, True
     if scene.table is not None and config.path.lift_height > 0:
-        is_loaded = is_stood_on(scene.target.points, scene.obstacles.points, scene.table)
+        is_loaded = scene.is_loaded
         is_covered = meets(target, obstacles, config.path.lift_height * scene.table.normal)
     return Way(space, config.path, config.collision.clearance, target, obstacles, is_loaded, is_covered, reach)
 

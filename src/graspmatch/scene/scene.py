@@ -68,6 +68,8 @@ class Scene:
     """Places beside the target that nobody saw [m]: where it may be, if it is larger than was guessed."""
     is_guessed: Bool[Array, "n"] | None = None
     """Which points of the target nobody saw: its far side as it is likely to be; None where all are measured."""
+    is_hidden: Bool[Array, "m"] | None = None
+    """Likewise which of the obstacles."""
 
     @classmethod
     def read(
@@ -90,6 +92,14 @@ class Scene:
     def seen_points(self) -> Float[Array, "m 3"]:
         """The target's points, less those that are a guess [m]."""
         return self.target.points if self.is_guessed is None else self.target.points[~self.is_guessed]
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether something that was seen stands on the target."""
+        if self.table is None:
+            return False
+        others = self.obstacles.points if self.is_hidden is None else self.obstacles.points[~self.is_hidden]
+        return is_stood_on(self.target.points, others, self.table)
 
     @classmethod
     def from_mesh(
@@ -250,12 +260,7 @@ def free_scene(cls: type[Scene], view: View, targets: Iterable[Target], *, with_
         targets = (replace(target, table=None) for target in targets)
     scenes = (view_scene(cls, view, target, complete=complete) for target in targets)
     first = next(scenes)
-    return next((scene for scene in itertools.chain([first], scenes) if not is_loaded(scene)), first)
-
-
-def is_loaded(scene: Scene) -> bool:
-    """Whether something stands on the target."""
-    return scene.table is not None and is_stood_on(scene.target.points, scene.obstacles.points, scene.table)
+    return next((scene for scene in itertools.chain([first], scenes) if not scene.is_loaded), first)
 
 
 def view_scene(cls: type[Scene], view: View, target: Target, *, complete: bool) -> Scene:
@@ -289,15 +294,17 @@ def completed(scene: Scene) -> Scene:
     if lines is None or found is None:
         return scene
     hidden = hidden_part(others, scene.table, lines, seen.points)
+    obstacles = np.concatenate([scene.obstacles.points, hidden])
     both = [(seen.points, seen.normals), (found.guessed.points, found.guessed.normals)]
     points, normals = (np.concatenate(parts) for parts in zip(*both, strict=True))
     return replace(
         scene,
         target=PointCloud(points, normals),
-        obstacles=PointCloud(np.concatenate([scene.obstacles.points, hidden])),
+        obstacles=PointCloud(obstacles),
         centre_of_mass=found.centre_of_mass,
         doubtful=found.doubtful,
         is_guessed=np.arange(len(points)) >= len(seen.points),
+        is_hidden=np.arange(len(obstacles)) >= len(scene.obstacles.points),
     )
 
 

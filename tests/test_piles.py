@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from graspmatch.apps.bench import glimpse
 from graspmatch.apps.bench.clutter import by_hidden, by_object, cleared
 from graspmatch.apps.bench.objects import ObjectSource
 from graspmatch.apps.bench.piles import PileJob, PileTrial, run_pile
@@ -92,6 +93,14 @@ def test_a_pile_is_looked_at_and_cleared() -> None:
     assert all(attempt.hidden is None or 0 <= attempt.hidden <= 1 for attempt in trial.tries)
     assert trial.cleared >= 1
     assert len(trial.tries) <= 2 + 3 * 2
+
+
+def test_what_has_rolled_out_of_the_image_is_not_attempted(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = TrialConfig(lift=SHORT, trials=1, seed=1, view=ViewConfig(distance=0.7))
+    monkeypatch.setattr(glimpse, "AIM", np.array([5.0, 0.0, 0.0]))  # the camera looks at another table
+    trial = run_pile(PileJob((BOX,), "kinova_kg3", None, PlanWith(), 0, config))
+    assert trial.tries == []
+    assert trial.cleared == 0
 
 
 def attempt(name: str, held: bool, hidden: float | None, reason: str = "") -> dict:

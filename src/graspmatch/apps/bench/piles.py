@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 GIVES_UP = 3
 """After so many failures in a row, what is left stays."""
+FEWEST_PIXELS = 100
+"""Of all objects together, so many at least are something to be seen."""
 SAMPLES = 1e5
 """Of a surface, per square metre: one every 3 mm, to tell which object a hand is at."""
 
@@ -107,6 +109,8 @@ def run_pile(job: PileJob) -> PileTrial:
     failures = 0
     while len(pile) and failures < GIVES_UP:
         attempt, pile = _attempt(pile, job, hand, gripper, rng)
+        if attempt is None:  # what is left has rolled out of the image
+            break
         attempts.append(attempt)
         failures = 0 if attempt.held else failures + 1
     return PileTrial(job.trial, [source.name for source in job.sources], [asdict(attempt) for attempt in attempts])
@@ -114,13 +118,16 @@ def run_pile(job: PileJob) -> PileTrial:
 
 def _attempt(
     pile: Pile, job: PileJob, hand: HandModel, gripper: Gripper, rng: np.random.Generator
-) -> tuple[Attempt, Pile]:
-    """Look, plan, try; and the pile afterwards, without the object if it was lifted."""
+) -> tuple[Attempt | None, Pile]:
+    """Look, plan, try; and the pile afterwards, without the object if it was lifted. None where there is nothing to be
+    seen."""
     from graspmatch.simulate.pile import settled, try_in_pile
 
     assert job.config.view is not None
     meshes = [transformed(body.mesh, T) for body, T in zip(pile.objects, pile.T_world_object, strict=True)]
     glimpse = glimpse_of(meshes, pile.T_world_object[0], job.config.view, rng)
+    if np.count_nonzero((glimpse.sight.body >= 0) & (glimpse.sight.body < len(meshes))) < FEWEST_PIXELS:
+        return None, pile
     seed = int(rng.integers(2**31))
     begin = time.perf_counter()
     grasps, found, reason = surest(glimpse, job.planner, gripper, seed)

@@ -14,6 +14,7 @@ from depth_scenes import Box, Cylinder, K, Setting, noisy, render
 from graspmatch.apps.cli import main
 from graspmatch.config import PlannerConfig, RefiningConfig, SeedingConfig
 from graspmatch.planner.order import Pick, plan_all
+from graspmatch.planner.plan import plan
 from graspmatch.scene.every import scenes_of_depth, scenes_of_view
 from graspmatch.scene.scene import Scene
 from graspmatch.scene.stacked import covered_share, is_stood_on, stands_on
@@ -113,6 +114,21 @@ def test_every_object_of_an_image_has_the_others_as_obstacles():
     np.testing.assert_array_equal(scenes[1].obstacles.points, alone.obstacles.points)
     marked = scenes_of_depth(depth, setting.camera, mask=np.choose(ids + 1, [0, 5, 9]), table=0.0)
     assert set(marked) == {5, 9}
+
+
+def test_what_stands_behind_another_is_cut_and_less_sure(toy):
+    front, back = Box(0.0, -0.03, (0.05, 0.04, 0.14)), Box(0.025, 0.06, (0.06, 0.04, 0.12))
+    alone, hidden = (Setting(things) for things in ((back,), (front, back)))
+    images = [noisy(render(setting)[0], np.random.default_rng(0)) for setting in (alone, hidden)]
+    mask = render(hidden)[1] + 1
+    behind = Scene.from_depth(images[1], hidden.camera, mask=mask, object=2, table=0.0)
+    before = Scene.from_depth(images[1], hidden.camera, mask=mask, object=1, table=0.0)
+    free = Scene.from_depth(images[0], alone.camera, object=0, table=0.0)
+    assert free.cut < 0.05
+    assert before.cut < 0.05
+    assert 0.15 < behind.cut < 0.6
+    grasps, whole = plan(behind, toy, QUICK), plan(replace(behind, cut=0.0), toy, QUICK)
+    np.testing.assert_allclose(grasps.score, (1 - behind.cut) * whole.score)
 
 
 def test_without_a_choice_the_target_is_one_on_which_nothing_stands():

@@ -151,7 +151,7 @@ def grasp_set(
         preshape=graded.preshape,
         pregrasp_joints=pregrasp[graded.preshape],
         grasp_joints=graded.grasp_joints,
-        score=graded.sureness,
+        score=(1 - scene.cut) * graded.sureness,
         quality=graded.margin,
         clearance=graded.clearance,
         matching_error=graded.error,

@@ -234,8 +234,8 @@ def _doubtful(solid: Bool[Array, "x y z"], free: Bool[Array, "x y z"], voxels: V
     """Hidden places next to a solid, but for those beside what was seen to be free."""
     from scipy.ndimage import binary_dilation
 
-    near = np.asarray(binary_dilation(solid, iterations=max(round(DOUBT / voxels.spacing), 1)))
-    aside = np.asarray(binary_dilation(free, iterations=max(round(EDGE / voxels.spacing), 1)))
+    near = np.asarray(binary_dilation(solid, iterations=max(round(DOUBT / voxels.spacing), 1)), dtype=bool)
+    aside = np.asarray(binary_dilation(free, iterations=max(round(EDGE / voxels.spacing), 1)), dtype=bool)
     return voxels.centres(np.argwhere(near & ~solid & ~aside)[::EVERY])
 
 

@@ -66,6 +66,8 @@ class Scene:
     """What the sensor saw, where the scene was cut from it: it knows the space that is free and what is hidden."""
     doubtful: Float[Array, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Places beside the target that nobody saw [m]: where it may be, if it is larger than was guessed."""
+    cut: float = 0.0
+    """Share of the target's outline in the image where something nearer hides what may follow, 0 to 1."""
     is_guessed: Bool[Array, "n"] | None = None
     """Which points of the target nobody saw: its far side as it is likely to be; None where all are measured."""
     is_hidden: Bool[Array, "m"] | None = None
@@ -277,6 +279,7 @@ def view_scene(cls: type[Scene], view: View, target: Target, *, complete: bool) 
         sensor_origin=origin,
         notes=(*view.notes, *target.notes, *notes),
         view=view,
+        cut=target.cut,
     )
     return completed(scene) if complete else scene
 

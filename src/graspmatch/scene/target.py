@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from graspmatch.scene.depth_file import read_mask
 from graspmatch.scene.pick import choose, segment_by_mask
@@ -22,6 +23,11 @@ NEAREST, FARTHEST = 0.15, 3.0
 SURROUNDINGS = 0.4
 """Things farther from the target than this [m] are in nobody's way."""
 
+ACROSS = 5
+"""So many pixels beside an object [pixels], past those that measured nothing, is what is next to it."""
+NEARER = 0.01
+"""What is nearer to the camera than the object beside it by so much [m] may hide some of it."""
+
 
 @dataclass(frozen=True)
 class Target:
@@ -32,6 +38,8 @@ class Target:
     """What else rises above the table near the object [m]."""
     table: Plane | None
     notes: tuple[str, ...] = ()
+    cut: float = 0.0
+    """Share of its outline in the image where something nearer hides what may follow."""
 
 
 def targets_in_turn(
@@ -90,7 +98,30 @@ def cut_out(view: View, found: Segmentation, index: int, *, notes: tuple[str, ..
     others = np.compress(is_other, view.points, axis=0)
     near = np.all([(others[:, i] > low[i]) & (others[:, i] < high[i]) for i in range(3)], axis=0)
     table = None if found.table is None else _plane_in_world(view, found.table)
-    return Target(to_world(view, points), to_world(view, others[near]), table, notes)
+    cut = cut_share(view, found.labels == index)
+    return Target(to_world(view, points), to_world(view, others[near]), table, notes, cut)
+
+
+def cut_share(view: View, mine: Bool[Array, "n"]) -> float:
+    """Share of the outline of an object in the image beside which something nearer was seen; 0 for a view without rows
+    or a known camera. Pixels that measured nothing are looked across: edges are full of them."""
+    if view.shape is None or view.origin is None:
+        return 0.0
+    rows, columns = (np.flatnonzero(mine.reshape(view.shape).any(axis=axis)) for axis in (1, 0))
+    around = tuple(slice(max(at[0] - ACROSS, 0), at[-1] + ACROSS + 1) for at in (rows, columns))
+    inside = np.pad(mine.reshape(view.shape)[around], ACROSS)
+    offset = view.points.reshape(*view.shape, 3)[around] - view.origin.astype(view.points.dtype)
+    distance = np.pad(np.sqrt(np.square(offset) @ np.ones(3, dtype=offset.dtype)), ACROSS, constant_values=np.nan)
+    nearer = beside = 0
+    for axis, way in itertools.product((0, 1), (-1, 1)):
+        next_one = np.full_like(distance, np.nan)
+        for step in range(ACROSS, 0, -1):
+            found = np.roll(distance, way * step, axis=axis)
+            next_one = np.where(np.isnan(found), next_one, found)
+        leaves = inside & ~np.roll(inside, way, axis=axis) & np.isfinite(next_one)
+        beside += np.count_nonzero(leaves)
+        nearer += np.count_nonzero(leaves & (next_one < distance - NEARER))
+    return nearer / max(beside, 1)
 
 
 def _plane_in_world(view: View, plane: Plane) -> Plane:

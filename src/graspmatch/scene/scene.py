@@ -6,6 +6,7 @@ import itertools
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -95,7 +96,7 @@ class Scene:
         """The target's points, less those that are a guess [m]."""
         return self.target.points if self.is_guessed is None else self.target.points[~self.is_guessed]
 
-    @property
+    @cached_property
     def is_loaded(self) -> bool:
         """Whether something that was seen stands on the target."""
         if self.table is None:

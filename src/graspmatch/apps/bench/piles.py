@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 
 from graspmatch.apps.bench.glimpse import Glimpse, glimpse_of, hidden_share, scenes_of
 from graspmatch.apps.bench.objects import ObjectSource
@@ -23,8 +24,12 @@ if TYPE_CHECKING:
     from graspmatch.gripper.kinematics import HandModel
     from graspmatch.simulate.pile import Pile
 
+Array = np.ndarray
+
 GIVES_UP = 3
 """After so many failures in a row, what is left stays."""
+NEARBY = 0.06
+"""Grasps so near to one that was lost are of the same place [m]."""
 FEWEST_PIXELS = 100
 """Of all objects together, so many at least are something to be seen."""
 SAMPLES = 1e5
@@ -107,8 +112,9 @@ def run_pile(job: PileJob) -> PileTrial:
     gripper = load_gripper(job.gripper, description=job.description)
     attempts: list[Attempt] = []
     failures = 0
+    lost: list[Array] = []
     while len(pile) and failures < GIVES_UP:
-        attempt, pile = _attempt(pile, job, hand, gripper, rng)
+        attempt, pile = _attempt(pile, job, hand, gripper, rng, lost)
         if attempt is None:  # what is left has rolled out of the image
             break
         attempts.append(attempt)
@@ -117,10 +123,10 @@ def run_pile(job: PileJob) -> PileTrial:
 
 
 def _attempt(
-    pile: Pile, job: PileJob, hand: HandModel, gripper: Gripper, rng: np.random.Generator
+    pile: Pile, job: PileJob, hand: HandModel, gripper: Gripper, rng: np.random.Generator, lost: list[Array]
 ) -> tuple[Attempt | None, Pile]:
     """Look, plan, try; and the pile afterwards, without the object if it was lifted. None where there is nothing to be
-    seen."""
+    seen. Where a grasp was lost is added to `lost`."""
     from graspmatch.simulate.pile import settled, try_in_pile
 
     assert job.config.view is not None
@@ -130,7 +136,7 @@ def _attempt(
         return None, pile
     seed = int(rng.integers(2**31))
     begin = time.perf_counter()
-    grasps, found, reason = surest(glimpse, job.planner, gripper, seed)
+    grasps, found, reason = surest(glimpse, job.planner, gripper, seed, lost)
     attempt = Attempt("", False, reason, len(pile), found, None, None, time.perf_counter() - begin, 0.0)
     if grasps is None:
         return attempt, pile
@@ -138,6 +144,8 @@ def _attempt(
     index = at_which(grasps, gripper, meshes)
     tried = grasps.T_world_pregrasp[0], grasps.T_world_gripper[0], grasps.pregrasp_joints[0]
     verdict, after = try_in_pile(pile, index, hand, *tried, job.config.lift)
+    if not verdict.held:
+        lost.append(centre_of(grasps, gripper))
     after = settled(after.without(index) if verdict.held else after, job.config.lift)
     attempt = replace(
         attempt,
@@ -151,21 +159,36 @@ def _attempt(
     return attempt, after
 
 
-def surest(glimpse: Glimpse, planner: Planner, gripper: Gripper, seed: int) -> tuple[GraspSet | None, int, str]:
-    """The grasps for the object whose best one is surest, how many objects were told apart, and why there is none."""
+def surest(
+    glimpse: Glimpse, planner: Planner, gripper: Gripper, seed: int, lost: Sequence[Array] = ()
+) -> tuple[GraspSet | None, int, str]:
+    """The grasps for the object whose best one is surest, how many objects were told apart, and why there is none.
+
+    What was lost lately is not tried again at once: each loss nearby halves how sure a grasp counts.
+    """
+
+    def worth(grasps: GraspSet) -> float:
+        centre = centre_of(grasps, gripper)
+        return float(grasps.score[0]) * 0.5 ** sum(bool(np.linalg.norm(place - centre) < NEARBY) for place in lost)
+
     try:
         scenes = scenes_of(glimpse)
     except GraspmatchError as refusal:
         return None, 0, f"refused: {refusal}"
     plans = [planner(scene, gripper, seed) for scene in scenes]
-    best = max((plan for plan in plans if len(plan)), key=lambda plan: plan.score[0], default=None)
+    best = max((plan for plan in plans if len(plan)), key=worth, default=None)
     return best, len(scenes), "" if best is not None else NO_GRASP
+
+
+def centre_of(grasps: GraspSet, gripper: Gripper) -> Float[Array, "3"]:
+    """Where the fingers of the first grasp meet [m]."""
+    centre = gripper.preshapes[grasps.preshape[0]].tool_centre_point
+    return apply(grasps.T_world_gripper[0], centre[None])[0]
 
 
 def at_which(grasps: GraspSet, gripper: Gripper, meshes: Sequence[Any]) -> int:
     """The object that is nearest to where the fingers of the first grasp meet."""
-    centre = gripper.preshapes[grasps.preshape[0]].tool_centre_point
-    place = apply(grasps.T_world_gripper[0], centre[None])
+    place = centre_of(grasps, gripper)
     rng = np.random.default_rng(0)
     clouds = [sample_surface(mesh, SAMPLES, rng)[0] for mesh in meshes]
     return int(np.argmin([np.min(np.linalg.norm(points - place, axis=-1)) for points in clouds]))

@@ -104,28 +104,46 @@ def grade(
     target: Touchable,
     config: GripConfig,
     standing: Float[Array, "n"] | None = None,
+    share: Float[Array, "n"] | None = None,
 ) -> Graded:
     """What comes of arriving and of closing the fingers under all trials; error and loss are those of the poses as they
-    are [m2], and the standing margin may be taken from grasps nearby."""
-    n, k, gripper, device = len(closed), len(trials), space.gripper, space.device
-    tried = hold(displaced(closed, trials.error), np.tile(trials.friction, n), target, gripper, config, device)
-    margin = np.where(tried.held, tried.margin, LOST_MARGIN).reshape(n, k).mean(axis=-1)
-    held_share = tried.held.reshape(n, k).mean(axis=-1)
-    contacts = tried.contacts.reshape(n, k).mean(axis=-1)
+    are [m2]. The standing margin may be taken from grasps nearby, the share of clear ways where it is known."""
+    gripper, device = space.gripper, space.device
+    margin, held_share, contacts = try_all(closed, trials, target, gripper, config, device)
     if standing is None:
         standing = standing_margin(closed, trials, target, gripper, config, device)
     return Graded(
         **vars(closed),
         error=error,
         final_loss=loss,
-        clear_share=clear_share(closed, trials, space),
+        clear_share=clear_share(closed, trials, space) if share is None else share,
         margin=margin,
         held_share=held_share,
         standing=standing,
         contacts=contacts,
-        tries=np.full(n, k),
+        tries=np.full(len(closed), len(trials)),
         confidence=confidence(margin, held_share, loss, standing, contacts),
     )
+
+
+def retried(
+    graded: Graded, trials: Trials, target: Touchable, gripper: Gripper, config: GripConfig, device: str
+) -> Graded:
+    """The same grasps under other trials; what the pose alone decides stays."""
+    margin, held_share, contacts = try_all(graded, trials, target, gripper, config, device)
+    sure = confidence(margin, held_share, graded.final_loss, graded.standing, contacts)
+    tries = np.full(len(graded), len(trials))
+    return replace(graded, margin=margin, held_share=held_share, contacts=contacts, tries=tries, confidence=sure)
+
+
+def try_all(
+    closed: Closed, trials: Trials, target: Touchable, gripper: Gripper, config: GripConfig, device: str
+) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    """Mean margin, share of the trials in which the object is held, and mean number of contacts."""
+    n, k = len(closed), len(trials)
+    tried = hold(displaced(closed, trials.error), np.tile(trials.friction, n), target, gripper, config, device)
+    margin = np.where(tried.held, tried.margin, LOST_MARGIN)
+    return tuple(figure.reshape(n, k).mean(axis=-1) for figure in (margin, tried.held, tried.contacts))  # type: ignore[return-value]
 
 
 def standing_margin(

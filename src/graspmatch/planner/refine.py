@@ -14,7 +14,7 @@ from graspmatch.geometry import se3
 from graspmatch.planner.avoid import Space, point_clearance, table_clearance_of_way, wider_preshapes
 from graspmatch.planner.candidates import Candidates, Closed, Free, Graded
 from graspmatch.planner.close import contact_joints, meet_object
-from graspmatch.planner.grade import Trials, clear_share, draw_trials, grade, pooled
+from graspmatch.planner.grade import Trials, clear_share, draw_trials, grade, pooled, retried
 from graspmatch.planner.hold import Touchable, touchable
 from graspmatch.planner.match import Problem, measure
 from graspmatch.planner.path import Reach, Way, is_executable, way_of
@@ -42,11 +42,21 @@ class Judge:
     config: PlannerConfig
     device: str
 
-    def grade(self, closed: Closed, trials: slice, standing: Float[Array, "n"] | None = None) -> Graded:
+    def grade(
+        self,
+        closed: Closed,
+        trials: slice,
+        standing: Float[Array, "n"] | None = None,
+        share: Float[Array, "n"] | None = None,
+    ) -> Graded:
         """Loss of grasps, and how sure they are after some of the trials."""
         error, loss = measure(Candidates(closed.matched_preshape, closed.T_world_gripper), self.problem)
         some, config = self.trials[trials], self.config.grip
-        return grade(closed, error, loss, some, self.space, self.target, config, standing)
+        return grade(closed, error, loss, some, self.space, self.target, config, standing, share)
+
+    def retried(self, graded: Graded, trials: slice) -> Graded:
+        """How sure the same grasps are after some of the trials."""
+        return retried(graded, self.trials[trials], self.target, self.gripper, self.config.grip, self.device)
 
     @property
     def first(self) -> slice:
@@ -103,14 +113,15 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
     """
     config = judge.config.refining
     few = slice(config.trials)
-    current, scale = judge.grade(graded.select(best).as_closed(), few, graded.standing[best]), np.ones(len(best))
+    current, scale = judge.retried(graded.select(best), few), np.ones(len(best))
     for _ in range(config.rounds):
         tried, origin = neighbours(current, scale, judge)
         tried, origin = free_of(tried, origin, judge)
-        may_help = clear_share(tried, judge.trials, judge.space) > current.sureness[origin]  # none is surer than that
-        tried, origin = tried.select(may_help), origin[may_help]
-        closed, origin = closing_on(tried, origin, judge)
-        found = judge.grade(closed, few, current.standing[origin])
+        share = clear_share(tried, judge.trials, judge.space)
+        may_help = np.flatnonzero(share > current.sureness[origin])  # none is surer than that
+        closed, index = closing_on(tried.select(may_help), may_help, judge)
+        origin = origin[index]
+        found = judge.grade(closed, few, current.standing[origin], share[index])
         current, improved = surest(current, found, origin)
         scale = np.where(improved, scale, scale / 2)
     refined, _ = surest(graded.select(best), judge.grade(current.as_closed(), slice(None)), np.arange(len(best)))
@@ -130,7 +141,7 @@ def confirm(graded: Graded, judge: Judge) -> Graded:
         if not len(todo):
             break
         chosen = graded.select(todo)
-        graded = put(graded, todo, pooled(chosen, judge.grade(chosen.as_closed(), others, chosen.standing)))
+        graded = put(graded, todo, pooled(chosen, judge.retried(chosen, others)))
     return graded
 
 

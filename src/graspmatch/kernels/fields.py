@@ -13,7 +13,7 @@ from graspmatch.geometry import grid as grids
 from graspmatch.geometry.sphere import GOLDEN_RATIO
 from graspmatch.kernels import warp_fields
 from graspmatch.kernels.launch import launch
-from graspmatch.kernels.warp_blocks import BLOCK
+from graspmatch.kernels.warp_blocks import BLOCK, FAR
 
 
 def stack_fields(fields: Sequence[grids.Grid], device: str) -> warp_fields.FieldStack:
@@ -66,8 +66,6 @@ class BlockCloud:
         return self.ends[-1]
 
 
-FAR = 1.0e3
-"""Where the points are that fill up a block [m]."""
 NEIGHBOURHOOD = 0.016
 """Edge of the voxels whose points become neighbours in a block [m]."""
 

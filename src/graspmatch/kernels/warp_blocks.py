@@ -4,9 +4,9 @@ Most points of a scene are far from the hand. A byte for each cell of a hand's f
 block of points is looked up there in one loop that a CPU runs as vector instructions, and what may lie below the limit
 comes out as the bits of one word. Only those points are then looked at exactly.
 
-Three things let the compiler vectorise the loop: a block has first all x, then all y, then all z, in an array that is
-passed to the kernel directly (of arrays inside structs it does not know that they are contiguous); the loop is a
-`while` (a `range` keeps its step in memory); and what it sums is an integer.
+Three things let the compiler vectorise the loop: a block has first all x, then all y, then all z; what the loop sums is
+an integer; and it is written in C++, on plain pointers. Arrays of Warp have a stride that is known only when the kernel
+runs, so that loops over them gather one by one what lies side by side.
 
 On CUDA the 32 lanes of a warp share the blocks of one hand out among them; on a CPU one thread has them all. (Tiles
 would do the same, but on a CPU they share memory between threads.)
@@ -22,6 +22,10 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 BLOCK = wp.constant(32)
 """Points of a block: the bits of a word."""
+
+
+FAR = wp.constant(1.0e3)
+"""Where the points are that fill up a block [m]."""
 
 
 LANES = 32
@@ -124,8 +128,7 @@ def cells_below(
     points: wp.array(dtype=wp.float32),
     first: int,
 ) -> wp.uint32:
-    """`points_below` for 32 points from the number `first` on. In C++, for there the compiler knows that arrays are
-    contiguous: it reads eight numbers at once, where indices of Warp's arrays make it gather them one by one."""
+    """`points_below` for the 32 points whose coordinates begin with the number `first`."""
     ...
 
 

@@ -9,7 +9,7 @@ level sets are the finger's surface on its way.
 import warp as wp
 
 from graspmatch.kernels.warp_avoid import arrival_at
-from graspmatch.kernels.warp_blocks import BLOCK, level_of, lowest_bit, points_below
+from graspmatch.kernels.warp_blocks import BLOCK, FAR, level_of, lowest_bit, points_below
 from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_inside, low_node, node_units
 from graspmatch.kernels.warp_wrench import Contacts
 
@@ -25,8 +25,6 @@ PALM_FACING = 0.5
 """The same for the approach and what the palm touches."""
 SAME_FACE = 0.8
 """Cosine between the normals of a face and of a point on its edge."""
-FAR = 1.0e3
-"""Where the points are that fill up a block [m]."""
 PALM_TOUCHES = 0.002
 """Points nearer to the palm than this touch it [m]."""
 PALM_WAY = 0.006

@@ -24,8 +24,9 @@ from graspmatch.apps.bench.trials import random_place
 from graspmatch.config import ViewConfig
 from graspmatch.geometry.mesh import sample_surface, transformed
 from graspmatch.geometry.se3 import apply
+from graspmatch.scene.captured import HAND_REACH
 from graspmatch.scene.complete import GUESSES, Guess, far_side
-from graspmatch.scene.scene import HAND_REACH, Scene
+from graspmatch.scene.scene import Scene
 from graspmatch.scene.sight import sight_lines
 from graspmatch.simulate.settle import settle
 

@@ -10,8 +10,9 @@ from scipy.spatial import KDTree
 
 from depth_scenes import Box, Cylinder, Setting, camera_at, noisy, render
 from graspmatch.geometry.se3 import rotation_exp
+from graspmatch.scene.captured import HAND_REACH, completed
 from graspmatch.scene.complete import far_side
-from graspmatch.scene.scene import HAND_REACH, Scene, completed
+from graspmatch.scene.scene import Scene
 from graspmatch.scene.sight import sight_lines
 from graspmatch.types import PointCloud
 

@@ -19,10 +19,10 @@ from torch import Tensor
 from graspmatch.config import MatchingConfig
 from graspmatch.geometry.cloud import voxel_downsample
 from graspmatch.geometry.se3 import quaternion_from_matrix
+from graspmatch.geometry.thin import thinned
 from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.match import target_spacing
 from graspmatch.planner.seed import asked_for
-from graspmatch.geometry.thin import thinned
 from graspmatch.planner.upload import inverse_inertia
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper

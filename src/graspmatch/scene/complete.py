@@ -34,6 +34,8 @@ EDGE = 0.005
 """Places nearer than this to what was seen to be free [m] are not in doubt: edges are seen a little aside."""
 EVERY = 4
 """One in so many of the places in doubt is kept: they lie so close that a hand meets many."""
+MARGIN = 3
+"""Around the voxels, so that smoothing sees their outside [voxels]."""
 SMOOTHING = 1.2
 """Normals are the slope of the voxels smoothed so far [voxels]."""
 FEWEST = 8
@@ -127,7 +129,7 @@ def hidden_part(
     voxels = _voxels(points, table, lines.origin, deep=0.0)
     surface, free = _surface_and_free(points, lines, voxels)
     solid = _nearest_to(points, target, surface | (_extruded(surface) & ~free), voxels)
-    return _unseen_surface(solid, points, voxels).points
+    return voxels.centres(_unseen_voxels(solid, points, voxels))
 
 
 def _surface_and_free(
@@ -256,19 +258,32 @@ def _below_openings(surface: Bool[Array, "x y z"], free: Bool[Array, "x y z"]) -
 
 def _unseen_surface(solid: Bool[Array, "x y z"], seen: Float[Array, "n 3"], voxels: Voxels) -> PointCloud:
     """The outermost voxels that are not beside what was seen, and the slope of the solid there."""
-    from scipy.ndimage import binary_erosion, gaussian_filter
+    from scipy.ndimage import gaussian_filter
+
+    index = _unseen_voxels(solid, seen, voxels)
+    smooth = np.asarray(gaussian_filter(_on_table(solid).astype(np.float32), SMOOTHING))
+    slope = np.moveaxis(np.array(np.gradient(smooth)), 0, -1)[tuple(index.T + MARGIN)]
+    length = np.linalg.norm(slope, axis=-1)
+    keep = length > 1e-3
+    normals = -(slope[keep] / length[keep, None]) @ voxels.R_world_grid.T
+    return PointCloud(voxels.centres(index[keep]), normals)
+
+
+def _unseen_voxels(solid: Bool[Array, "x y z"], seen: Float[Array, "n 3"], voxels: Voxels) -> Int[Array, "k 3"]:
+    """The outermost voxels that are not beside what was seen."""
+    from scipy.ndimage import binary_erosion
     from scipy.spatial import KDTree
 
-    margin = 3
-    padded = np.pad(solid, margin)
-    padded[:, :, :margin] = padded[:, :, margin : margin + 1]  # what stands on the table has no underside
+    padded = _on_table(solid)
     outermost = padded & ~np.asarray(binary_erosion(padded), dtype=bool)
-    outermost[:, :, :margin] = False
-    index = np.argwhere(outermost)
-    smooth = np.asarray(gaussian_filter(padded.astype(np.float32), SMOOTHING))
-    slope = np.moveaxis(np.array(np.gradient(smooth)), 0, -1)[tuple(index.T)]
-    length = np.linalg.norm(slope, axis=-1)
-    points = voxels.centres(index - margin)
-    distance, _ = KDTree(seen).query(points, distance_upper_bound=AWAY)  # infinite beyond that
-    keep = (length > 1e-3) & (distance > AWAY)
-    return PointCloud(points[keep], -(slope[keep] / length[keep, None]) @ voxels.R_world_grid.T)
+    outermost[:, :, :MARGIN] = False
+    index = np.argwhere(outermost) - MARGIN
+    distance, _ = KDTree(seen).query(voxels.centres(index), distance_upper_bound=AWAY)  # infinite beyond that
+    return index[distance > AWAY]
+
+
+def _on_table(solid: Bool[Array, "x y z"]) -> Bool[Array, "x+6 y+6 z+6"]:
+    """With a margin; what stands on the table has no underside."""
+    padded = np.pad(solid, MARGIN)
+    padded[:, :, :MARGIN] = padded[:, :, MARGIN : MARGIN + 1]
+    return padded

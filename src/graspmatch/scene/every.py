@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from graspmatch.scene.camera import Camera
+from graspmatch.scene.captured import view_scene
 from graspmatch.scene.depth import DepthImage
 from graspmatch.scene.depth_view import Correct, depth_view, plane_in_view
-from graspmatch.scene.scene import METRES, Array, PathLike, Scene, Table, Unit, cloud_view, view_scene
+from graspmatch.scene.scene import METRES, Array, PathLike, Scene, Table, Unit, cloud_view
 from graspmatch.scene.target import targets_of
 from graspmatch.scene.view import View, with_up
 from graspmatch.types import Plane, PointCloud

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,14 +15,13 @@ from jaxtyping import Bool, Float
 from graspmatch.geometry.mesh import TriangleMesh
 from graspmatch.scene import surface
 from graspmatch.scene.camera import Camera
-from graspmatch.scene.complete import far_side, hidden_part
+from graspmatch.scene.captured import free_scene
 from graspmatch.scene.depth import DepthImage
 from graspmatch.scene.depth_view import Correct, depth_view, plane_in_view
 from graspmatch.scene.read import CloudFile, read_cloud, read_mesh, read_object, triangles
-from graspmatch.scene.sight import sight_lines
 from graspmatch.scene.stacked import is_stood_on
-from graspmatch.scene.target import Target, targets_in_turn
-from graspmatch.scene.view import View, to_world, view_of_cloud, with_up
+from graspmatch.scene.target import targets_in_turn
+from graspmatch.scene.view import View, view_of_cloud, with_up
 from graspmatch.types import GraspmatchError, Plane, PointCloud
 
 if TYPE_CHECKING:
@@ -35,10 +33,6 @@ Unit = Literal["auto", "m", "cm", "mm"]
 Table = Literal["auto"] | float | int | Plane | None
 
 METRES = {"auto": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001}
-OBSTACLE_SPACING = 0.004
-"""Distance between the points of what else a sensor saw [m], at least."""
-HAND_REACH = 0.12
-"""So far beside the target a hand may be in the way of other things [m]."""
 SMALLEST, LARGEST = 0.003, 3.0
 """Sizes of an object [m] between which nobody asks whether its unit is right."""
 
@@ -254,61 +248,6 @@ def _cloud_scene(
         source=name,
         sensor_origin=sensor,
         notes=notes + more,
-    )
-
-
-def free_scene(cls: type[Scene], view: View, targets: Iterable[Target], *, with_table: bool, complete: bool) -> Scene:
-    """The scene of the first target on which nothing stands; of the first of all, if there is none such."""
-    if not with_table:
-        targets = (replace(target, table=None) for target in targets)
-    scenes = (view_scene(cls, view, target, complete=complete) for target in targets)
-    first = next(scenes)
-    return next((scene for scene in itertools.chain([first], scenes) if not scene.is_loaded), first)
-
-
-def view_scene(cls: type[Scene], view: View, target: Target, *, complete: bool) -> Scene:
-    """The scene of one object of a view, its far side guessed where that is wanted."""
-    origin = None if view.origin is None else to_world(view, view.origin[None])[0]
-    seen, _, spacing, notes = surface.cloud_surface(target.points, None, origin)
-    obstacles = surface.thin_obstacles(target.obstacles, max(spacing, OBSTACLE_SPACING))
-    scene = cls(
-        target=seen,
-        obstacles=PointCloud(obstacles),
-        table=target.table,
-        centre_of_mass=seen.points.mean(axis=0),
-        source=view.source,
-        sensor_origin=origin,
-        notes=(*view.notes, *target.notes, *notes),
-        view=view,
-        cut=target.cut,
-    )
-    return completed(scene) if complete else scene
-
-
-def completed(scene: Scene) -> Scene:
-    """The scene with the far side of its target guessed, and what other things near it may have where nobody saw;
-    unchanged where there is no table, no view, or no sensor's place."""
-    if scene.view is None or scene.table is None or scene.is_guessed is not None:
-        return scene
-    seen, others = scene.target, scene.obstacles.points
-    low, high = seen.points.min(axis=0) - HAND_REACH, seen.points.max(axis=0) + HAND_REACH
-    others = others[np.all((others > low) & (others < high), axis=1)]
-    lines = sight_lines(scene.view, seen.points, 2 * HAND_REACH)
-    found = None if lines is None else far_side(seen, scene.table, lines, others)
-    if lines is None or found is None:
-        return scene
-    hidden = hidden_part(others, scene.table, lines, seen.points)
-    obstacles = np.concatenate([scene.obstacles.points, hidden])
-    both = [(seen.points, seen.normals), (found.guessed.points, found.guessed.normals)]
-    points, normals = (np.concatenate(parts) for parts in zip(*both, strict=True))
-    return replace(
-        scene,
-        target=PointCloud(points, normals),
-        obstacles=PointCloud(obstacles),
-        centre_of_mass=found.centre_of_mass,
-        doubtful=found.doubtful,
-        is_guessed=np.arange(len(points)) >= len(seen.points),
-        is_hidden=np.arange(len(obstacles)) >= len(scene.obstacles.points),
     )
 
 

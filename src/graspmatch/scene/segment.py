@@ -217,7 +217,7 @@ def described(view: View, support: SupportPlane | None, labels: Int[Array, "n"])
     """The labels with what they say about each object."""
     boxes, heights, counts = [], [], []
     for i in range(int(labels.max()) + 1):
-        own = view.points[labels == i].astype(np.float64)
+        own = np.compress(labels == i, view.points, axis=0).astype(np.float64)
         boxes.append([own.min(axis=0), own.max(axis=0)])
         heights.append(float(_heights(own, support.plane).max()) if support else float(np.ptp(own[:, 2])))
         counts.append(len(own))

@@ -8,14 +8,7 @@ the bounds that `warp_blocks` looks it up in, d way back.
 
 import warp as wp
 
-from graspmatch.kernels.warp_blocks import (
-    block_point,
-    lane_min,
-    lanes,
-    level_of,
-    lowest_bit,
-    points_below,
-)
+from graspmatch.kernels.warp_blocks import block_point, lane_min, lanes, level_of, lowest_bit, points_below
 from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate_at, is_inside, low_node
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -167,10 +160,15 @@ def is_near(stack: FieldStack, g: int, u: wp.vec3, distance: float) -> bool:
 
 
 @wp.func
-def arrival_at(stack: FieldStack, g: int, low: wp.vec3i, f: wp.vec3) -> float:
-    """Closing fraction at which a finger covers the point at `f` in the cell `low`: trilinear where all eight nodes are
-    covered, else that of the nearest node, since the field jumps to `NEVER` at the edge of what the finger sweeps."""
+def arrival_at(stack: FieldStack, g: int, u: wp.vec3) -> float:
+    """Closing fraction at which a finger covers a point, `NEVER` outside of the grid: trilinear where all eight nodes
+    are covered, else that of the nearest node, since the field jumps to `NEVER` at the edge of what the finger sweeps.
+    """
     dims = stack.dims[g]
+    if not is_inside(u, dims):
+        return float(NEVER)
+    low = low_node(u, dims)
+    f = u - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
     total = float(0.0)
     largest = float(0.0)
     nearest = float(NEVER)
@@ -218,11 +216,7 @@ def first_contact(
             while mask != wp.uint32(0):
                 x = block_point(points, block, lowest_bit(mask))
                 mask = mask & (mask - wp.uint32(1))
-                u = A * x + b
-                if is_inside(u, arrival.dims[g]):
-                    low = low_node(u, arrival.dims[g])
-                    within = u - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-                    earliest = wp.min(earliest, arrival_at(arrival, g + f, low, within))
+                earliest = wp.min(earliest, arrival_at(arrival, g + f, A * x + b))
             block += lanes()
         fraction_out[i * fingers + f] = lane_min(earliest)
         f += 1

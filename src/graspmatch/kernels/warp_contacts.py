@@ -10,7 +10,7 @@ import warp as wp
 
 from graspmatch.kernels.warp_avoid import arrival_at
 from graspmatch.kernels.warp_blocks import BLOCK, FAR, level_of, lowest_bit, points_below
-from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, is_inside, low_node, node_units
+from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, node_units
 from graspmatch.kernels.warp_wrench import Contacts
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -300,7 +300,6 @@ def touch(
     A = R / hand.arrival.spacing
     b = (shift - hand.arrival.origin[grid]) / hand.arrival.spacing
     b_palm = (shift - hand.pivot[p] - hand.distance.origin[p]) / hand.distance.spacing
-    dims = hand.arrival.dims[grid]
     block = int(0)
     while block < blocks:
         for f in range(fingers):
@@ -311,18 +310,14 @@ def touch(
                 o = reached.index[i, block * BLOCK + lowest_bit(mask)]
                 mask = mask & (mask - wp.uint32(1))
                 x = R * body.points[o] + shift
-                u = node_units(hand.arrival, grid, x)
-                if is_inside(u, dims):
-                    low = low_node(u, dims)
-                    within = u - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-                    t = arrival_at(hand.arrival, grid + f, low, within)
-                    if t < wp.min(fraction[i, f] + LATE, NEVER):
-                        note_near(i, f, o, t, reached)
-                    if t < fraction[i, f]:
-                        way = slowness(hand.arrival, grid + f, x)
-                        if -wp.dot(R * body.normals[o], way) >= FACING_FIRST * wp.length(way):
-                            fraction[i, f] = t
-                            contacts.count[i, f] = o
+                t = arrival_at(hand.arrival, grid + f, node_units(hand.arrival, grid + f, x))
+                if t < wp.min(fraction[i, f] + LATE, NEVER):
+                    note_near(i, f, o, t, reached)
+                if t < fraction[i, f]:
+                    way = slowness(hand.arrival, grid + f, x)
+                    if -wp.dot(R * body.normals[o], way) >= FACING_FIRST * wp.length(way):
+                        fraction[i, f] = t
+                        contacts.count[i, f] = o
         limit = level_of(PALM_TOUCHES + tolerance, hand.distance_step)
         mask = points_below(limit, hand.distance, hand.distance_levels, p, A, b_palm, points, block)
         while mask != wp.uint32(0):

@@ -24,8 +24,10 @@ CORE = 0.1
 FEWEST_MASKED = 30
 
 
-def choose(view: View, found: Segmentation, *, number: int | None = None, at: Sequence[float] | None = None) -> int:
-    """The index of one object: that of the number, or the one at a place, or the only or largest one.
+def choose(
+    view: View, found: Segmentation, *, number: int | None = None, at: Sequence[float] | None = None
+) -> Sequence[int]:
+    """The indices of the objects in question: the one of the number or at a place, else all, the largest first.
 
     at: column and row [pixels] in an organised view, else x, y or x, y, z [m] in the frame of the cloud.
     """
@@ -35,10 +37,10 @@ def choose(view: View, found: Segmentation, *, number: int | None = None, at: Se
         matching = np.flatnonzero(found.numbers == number)
         if len(matching) == 0:
             raise GraspmatchError(f"There is no object {number}. Found: {found.describe()}.")
-        return int(matching[0])
+        return [int(matching[0])]
     if at is None:
-        return 0
-    return _at_pixel(view, found, at) if view.shape is not None else _at_place(view, found, at)
+        return range(len(found))
+    return [_at_pixel(view, found, at) if view.shape is not None else _at_place(view, found, at)]
 
 
 def segment_by_mask(view: View, mask: Shaped[Array, "h w"], *, table: Plane | None = None) -> Segmentation:

@@ -54,8 +54,7 @@ def targets_in_turn(
     in the view frame, None to find it."""
     found = _segmented(view, table, mask)
     is_chosen = number is not None or at is not None
-    chosen = [choose(view, found, number=number, at=at)] if is_chosen else range(len(found))
-    for index in chosen:
+    for index in choose(view, found, number=number, at=at):
         yield cut_out(view, found, index, notes=_notes(found, index, is_chosen=is_chosen))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from graspmatch.planner.candidates import Candidates, Closed
 from graspmatch.planner.close import contact_joints
 from graspmatch.planner.grade import (
     CALIBRATION,
+    GUESS_SCALE,
     Trials,
     clear_share,
     confidence,
@@ -25,9 +27,11 @@ from graspmatch.planner.grade import (
     foremost,
     grade,
     middling,
+    pooled,
     stopped,
+    sure_of,
 )
-from graspmatch.planner.hold import hold
+from graspmatch.planner.hold import hold, touchable
 from graspmatch.planner.match import prepare
 from graspmatch.planner.refine import Judge, confirm, judge_of, refine, roomiest
 from graspmatch.planner.tally import Tally
@@ -153,6 +157,35 @@ def test_without_errors_every_trial_is_the_plan(franka, judge):
     assert 0 < np.sum(clearance > 0) < n
     np.testing.assert_array_equal(graded.clear_share, clearance > 0)
     np.testing.assert_array_equal(graded.contacts, planned.contacts)
+
+
+def test_what_is_guessed_is_the_less_sure_the_farther_it_is_from_what_was_seen(franka, judge):
+    scene, closed = box_scene(), around(judge, 12)
+    side = scene.target.points[:, 1]
+    seen = [scene, *(replace(scene, is_guessed=side < least) for least in (-0.01, 0.01, 0.0199))]
+    targets = [touchable(each, CONFIG.grip.points, "cpu") for each in seen]
+    graded = [replace(judge, target=target).grade(closed, judge.first) for target in targets]
+    held = graded[0].held_share == 1
+    np.testing.assert_array_equal(graded[0].seen_share, 1.0)
+    np.testing.assert_array_equal(graded[0].sureness, graded[0].clear_share * graded[0].confidence)
+    assert held.sum() >= 3
+    for surer, less_sure in pairwise(graded):
+        np.testing.assert_array_equal(surer.confidence, less_sure.confidence)
+        assert np.all(less_sure.seen_share[held] < surer.seen_share[held])
+    assert graded[-1].seen_share[0] == pytest.approx(sure_of(np.array([0.04]))[0], abs=0.03)
+    assert sure_of(np.zeros(1)) == 1
+    assert sure_of(np.array([GUESS_SCALE])) == pytest.approx(np.exp(-1))
+
+
+def test_tries_are_pooled_by_how_many_they_are(judge):
+    half = replace(box_scene(), is_guessed=box_scene().target.points[:, 1] < 0)
+    unsure = replace(judge, target=touchable(half, CONFIG.grip.points, "cpu"))
+    closed = around(judge, 8)
+    first, others, both = (unsure.grade(closed, slice(*part)) for part in ((0, 6), (6, 18), (0, 18)))
+    pool = pooled(first, others)
+    for name in ("margin", "held_share", "contacts", "seen_share", "tries", "confidence", "sureness"):
+        np.testing.assert_allclose(getattr(pool, name), getattr(both, name), atol=1e-9)
+    assert np.any(pool.seen_share < 1)
 
 
 def test_an_arrival_keeps_its_clearance_and_some_are_inexact(judge):

@@ -254,6 +254,37 @@ def test_what_is_held_is_in_balance(franka, target):
         assert np.all(found.margin[found.held] >= -CONFIG.balanced)
 
 
+# --- what nobody saw --------------------------------------------------------------------------------------------------
+
+
+def half_seen(scene: Scene, least: float) -> Scene:
+    """The same, but that only what is at y >= `least` was seen [m]."""
+    return replace(scene, is_guessed=scene.target.points[:, 1] < least)
+
+
+def test_all_of_a_mesh_counts_as_seen(franka, target):
+    assert not box().beyond.any()
+    assert not closed_on(target, around(franka, np.random.default_rng(0), 20), franka).beyond.any()
+
+
+def test_a_finger_on_a_guessed_side_is_as_far_from_what_was_seen_as_the_object_is_wide(franka):
+    seen_from_the_left = half_seen(box(), SIZE[1] / 2 - 1e-6)
+    np.testing.assert_allclose(
+        seen_from_the_left.beyond, SIZE[1] / 2 - seen_from_the_left.target.points[:, 1], atol=2.5e-3
+    )
+    found = closed_on(touchable(seen_from_the_left, CONFIG.points, "cpu"), above(franka, MIDDLE), franka)
+    assert found.held.all()
+    assert found.beyond[0] == pytest.approx(SIZE[1], abs=2e-3)
+
+
+def test_fingers_on_sides_that_were_seen_are_sure_of_them_whatever_is_between(franka):
+    scene = box()
+    inside = np.abs(scene.target.points[:, 1]) < SIZE[1] / 2 - 0.004
+    found = closed_on(touchable(replace(scene, is_guessed=inside), CONFIG.points, "cpu"), above(franka, MIDDLE), franka)
+    assert found.held.all()
+    assert found.beyond[0] < 1e-3
+
+
 # --- what must not matter --------------------------------------------------------------------------------------------
 
 

@@ -43,6 +43,8 @@ class Body:
     normals: wp.array(dtype=wp.vec3)
     is_edge: wp.array(dtype=wp.int32)
     """Whether a point is beside an edge: what touches there pushes along no normal of the object's alone."""
+    beyond: wp.array(dtype=wp.float32)
+    """How far each point is from what was seen of the object [m]."""
     corners: wp.array(dtype=wp.vec3)
     """Those that can lie on a plane."""
     down: wp.vec3
@@ -184,6 +186,7 @@ def spread_patch(
                     reach[s] = value
                     corner[s] = o
     found = int(1)
+    beyond = body.beyond[start]
     for s in range(4):
         o = corner[s]
         is_new = o != start
@@ -193,8 +196,10 @@ def spread_patch(
             x = R * body.points[o] + shift
             contacts.point[i, g, found] = x
             contacts.push[i, g, found] = push_at(grid, x, R * body.normals[o], body.is_edge[o], face, hand)
+            beyond += body.beyond[o]
             found += 1
     contacts.count[i, g] = found
+    contacts.beyond[i, g] = beyond / float(found)
 
 
 @wp.func

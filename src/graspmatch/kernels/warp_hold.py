@@ -25,8 +25,10 @@ SLACK = 0.01
 """Closing fraction within which fingers count as touching together."""
 SHORTEST = 0.2
 """Share of the first step at which the object is said to be jammed: steps are halved where they turn back."""
-FIGURES = 4
-"""Way and turn until the lift, then from it: [m], [rad]."""
+FIGURES = 5
+"""Way and turn until the lift, then from it: [m], [rad]; how far from what was seen a finger touches, at most [m]."""
+BEYOND = 4
+"""The last of them."""
 
 
 @wp.struct
@@ -173,6 +175,9 @@ def hold(
                 steps += 1
                 last = w
     contacts.count[i, fingers + 1] = 0
+    for f in range(fingers):
+        if contacts.count[i, f] > 0:
+            figures_out[i, BEYOND] = wp.max(figures_out[i, BEYOND], contacts.beyond[i, f])
     margin = float(LOST_MARGIN)
     if state == HELD or course.turns == 0.0:
         margin = margin_of(contacts, pressure, i, weight, directions, course.descents)

@@ -45,6 +45,8 @@ class Contacts:
     push: wp.array3d(dtype=wp.vec3)
     centre: wp.array(dtype=wp.vec3)
     """Of mass: torques are about it."""
+    beyond: wp.array2d(dtype=wp.float32)
+    """How far from what was seen each touches, the mean over its contacts [m]."""
 
 
 @wp.struct

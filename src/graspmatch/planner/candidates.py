@@ -77,6 +77,8 @@ class Graded(Closed):
     fingers of one drive."""
     contacts: Float[Array, "n"]
     """Of fingers and palm in the end, at most five of each: the mean over all trials."""
+    seen_share: Float[Array, "n"]
+    """How sure it is that the surface is there that the fingers touch: 1 where it was seen, see `grade.sure_of`."""
     tries: Int[Array, "n"]
     """How many trials that were."""
     confidence: Float[Array, "n"]
@@ -84,8 +86,9 @@ class Graded(Closed):
 
     @property
     def sureness(self) -> Float[Array, "n"]:
-        """Share of such grasps that arrive and hold, though some come a little displaced."""
-        return self.clear_share * self.confidence
+        """Share of such grasps that arrive, find what they are to touch, and hold, though some come a little
+        displaced."""
+        return self.clear_share * self.seen_share * self.confidence
 
     def as_closed(self) -> Closed:
         """Without the verdict."""

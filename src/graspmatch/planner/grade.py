@@ -28,6 +28,9 @@ INEXACT = 0.25
 """Of the arrivals at a known surface, so many are inexact."""
 LOSS_SCALE = 0.05
 """[m]"""
+GUESS_SCALE = 0.03
+"""So far from what was seen of an object, a guess of its surface is right in one of e cases [m]; half as far it mostly
+is."""
 CALIBRATION = (-1.325, 0.288, 4.627, -0.693, 1.343, 0.236)
 """Offset, and weights of margin, share of trials that hold, root of the loss, standing margin, and contacts."""
 
@@ -88,8 +91,8 @@ def foremost(
     """The most promising distinct candidates: those that hold best where they are, with middling friction, the better
     the more of their arrivals are clear."""
     held = hold(closed, np.full(len(closed), middling(config)), target, space.gripper, config, space.device)
-    share = clear_share(closed, trials, space)
     worth = np.where(held.held, held.margin, held.margin - np.sqrt(closed.loss))  # lost: those that match best
+    share = clear_share(closed, trials, space) * sure_of(held.beyond)
     worth = share * worth + (1 - share) * np.minimum(worth, LOST_MARGIN)
     order = rank(closed, worth, RankingConfig(count=count), tally, "less promising than others")
     return closed.select(order)
@@ -109,7 +112,7 @@ def grade(
     """What comes of arriving and of closing the fingers under all trials; error and loss are those of the poses as they
     are [m2]. The standing margin may be taken from grasps nearby, the share of clear ways where it is known."""
     gripper, device = space.gripper, space.device
-    margin, held_share, contacts = try_all(closed, trials, target, gripper, config, device)
+    margin, held_share, contacts, seen_share = try_all(closed, trials, target, gripper, config, device)
     if standing is None:
         standing = standing_margin(closed, trials, target, gripper, config, device)
     return Graded(
@@ -121,6 +124,7 @@ def grade(
         held_share=held_share,
         standing=standing,
         contacts=contacts,
+        seen_share=seen_share,
         tries=np.full(len(closed), len(trials)),
         confidence=confidence(margin, held_share, loss, standing, contacts),
     )
@@ -130,20 +134,26 @@ def retried(
     graded: Graded, trials: Trials, target: Touchable, gripper: Gripper, config: GripConfig, device: str
 ) -> Graded:
     """The same grasps under other trials; what the pose alone decides stays."""
-    margin, held_share, contacts = try_all(graded, trials, target, gripper, config, device)
+    margin, held_share, contacts, seen_share = try_all(graded, trials, target, gripper, config, device)
+    tried = replace(graded, margin=margin, held_share=held_share, contacts=contacts, seen_share=seen_share)
     sure = confidence(margin, held_share, graded.final_loss, graded.standing, contacts)
-    tries = np.full(len(graded), len(trials))
-    return replace(graded, margin=margin, held_share=held_share, contacts=contacts, tries=tries, confidence=sure)
+    return replace(tried, tries=np.full(len(graded), len(trials)), confidence=sure)
 
 
 def try_all(
     closed: Closed, trials: Trials, target: Touchable, gripper: Gripper, config: GripConfig, device: str
-) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """Mean margin, share of the trials in which the object is held, and mean number of contacts."""
+) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    """Mean margin, share of the trials in which the object is held, mean number of contacts, and how sure these are."""
     n, k = len(closed), len(trials)
     tried = hold(displaced(closed, trials.error), np.tile(trials.friction, n), target, gripper, config, device)
     margin = np.where(tried.held, tried.margin, LOST_MARGIN)
-    return tuple(figure.reshape(n, k).mean(axis=-1) for figure in (margin, tried.held, tried.contacts))  # type: ignore[return-value]
+    figures = margin, tried.held, tried.contacts, sure_of(tried.beyond)
+    return tuple(figure.reshape(n, k).mean(axis=-1) for figure in figures)  # type: ignore[return-value]
+
+
+def sure_of(beyond: Float[Array, "n"]) -> Float[Array, "n"]:
+    """How sure it is that a surface is there, so far from what was seen of the object [m]."""
+    return np.exp(-((beyond / GUESS_SCALE) ** 4))
 
 
 def standing_margin(
@@ -174,9 +184,10 @@ def pooled(a: Graded, b: Graded) -> Graded:
     margin = share * a.margin + (1 - share) * b.margin
     held_share = share * a.held_share + (1 - share) * b.held_share
     contacts = share * a.contacts + (1 - share) * b.contacts
+    seen_share = share * a.seen_share + (1 - share) * b.seen_share
+    pool = replace(a, margin=margin, held_share=held_share, contacts=contacts, seen_share=seen_share)
     sure = confidence(margin, held_share, a.final_loss, a.standing, contacts)
-    tries = a.tries + b.tries
-    return replace(a, margin=margin, held_share=held_share, contacts=contacts, tries=tries, confidence=sure)
+    return replace(pool, tries=a.tries + b.tries, confidence=sure)
 
 
 def stopped(graded: Graded, target: Touchable, gripper: Gripper, config: GripConfig, device: str) -> Graded:

@@ -76,6 +76,8 @@ class Held:
     """... and how far it turns [rad]."""
     slipped: Float[Array, "n"]
     """Way of the centre of mass after that [m]."""
+    beyond: Float[Array, "n"]
+    """How far from what was seen of the object a finger touches it in the end, at most [m]."""
 
     @property
     def contacts(self) -> Int[Array, "n"]:
@@ -99,6 +101,7 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
     body.blocks = wp.array(in_blocks(points[index]).ravel(), dtype=wp.float32, device=device)
     body.normals = wp.array(normals[index], dtype=wp.vec3, device=device)
     body.is_edge = wp.array(beside_edge(points[index], normals[index]), dtype=wp.int32, device=device)
+    body.beyond = wp.array(scene.beyond[index], dtype=wp.float32, device=device)
     body.corners = wp.array(corners, dtype=wp.vec3, device=device)
     body.down = wp.vec3(*down)
     body.table = NO_TABLE
@@ -154,6 +157,7 @@ def hold(
         pushed=figures.numpy()[:, 0].astype(float),
         turned=figures.numpy()[:, 1].astype(float),
         slipped=figures.numpy()[:, 2].astype(float),
+        beyond=figures.numpy()[:, warp_hold.BEYOND].astype(float),
     )
 
 
@@ -222,6 +226,7 @@ def _room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contact
     contacts.point = wp.zeros(shape, dtype=wp.vec3, device=device)
     contacts.push = wp.zeros(shape, dtype=wp.vec3, device=device)
     contacts.centre = wp.zeros(n, dtype=wp.vec3, device=device)
+    contacts.beyond = wp.zeros(shape[:2], dtype=wp.float32, device=device)
     return contacts
 
 

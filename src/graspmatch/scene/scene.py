@@ -91,6 +91,15 @@ class Scene:
         return self.target.points if self.is_guessed is None else self.target.points[~self.is_guessed]
 
     @cached_property
+    def beyond(self) -> Float[Array, "n"]:
+        """How far each point of the target is from those that were seen [m]."""
+        if self.is_guessed is None:
+            return np.zeros(len(self.target.points))
+        from scipy.spatial import KDTree
+
+        return KDTree(self.seen_points).query(self.target.points, workers=-1)[0]
+
+    @cached_property
     def is_loaded(self) -> bool:
         """Whether something that was seen stands on the target."""
         if self.table is None:

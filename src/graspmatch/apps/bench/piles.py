@@ -180,15 +180,15 @@ def surest(
     return best, len(scenes), "" if best is not None else NO_GRASP
 
 
-def centre_of(grasps: GraspSet, gripper: Gripper) -> Float[Array, "3"]:
-    """Where the fingers of the first grasp meet [m]."""
-    centre = gripper.preshapes[grasps.preshape[0]].tool_centre_point
-    return apply(grasps.T_world_gripper[0], centre[None])[0]
+def centre_of(grasps: GraspSet, gripper: Gripper, rank: int = 0) -> Float[Array, "3"]:
+    """Where the fingers of a grasp meet [m]."""
+    centre = gripper.preshapes[grasps.preshape[rank]].tool_centre_point
+    return apply(grasps.T_world_gripper[rank], centre[None])[0]
 
 
-def at_which(grasps: GraspSet, gripper: Gripper, meshes: Sequence[Any]) -> int:
-    """The object that is nearest to where the fingers of the first grasp meet."""
-    place = centre_of(grasps, gripper)
+def at_which(grasps: GraspSet, gripper: Gripper, meshes: Sequence[Any], rank: int = 0) -> int:
+    """The object that is nearest to where the fingers of a grasp meet."""
+    place = centre_of(grasps, gripper, rank)
     rng = np.random.default_rng(0)
     clouds = [sample_surface(mesh, SAMPLES, rng)[0] for mesh in meshes]
     return int(np.argmin([np.min(np.linalg.norm(points - place, axis=-1)) for points in clouds]))

@@ -14,6 +14,45 @@ from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate_at, is
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
+@wp.func
+def way_back(
+    corridor: FieldStack,
+    points: wp.array(dtype=wp.float32),
+    levels: wp.array(dtype=wp.int32),
+    limit: int,
+    blocks: int,
+    back: wp.vec3,
+    clearance: float,
+    step: float,
+    g: int,
+    p: wp.vec3,
+    q: wp.quat,
+    least: float,
+    most: float,
+    lane: int,
+) -> float:
+    """Smallest way back along the approach from which hand and approach keep their clearance; above the most if none.
+
+    The way back only ever grows from point to point, so one pass over the scene finds it: what is clear of the way in
+    stays clear of it, but for the stretch that backing off adds at its start. `least` is what is known to be needed,
+    `back` the direction back in node units.
+    """
+    A = to_node_units(corridor, q)
+    b = node_offset(corridor, g, A, p)
+    d = least
+    block = lane
+    while block < blocks and d <= most:
+        mask = points_below(limit, corridor, levels, g, A, b + d * back, points, block)
+        while mask != wp.uint32(0):
+            x = block_point(points, block, lowest_bit(mask))
+            mask = mask & (mask - wp.uint32(1))
+            u = A * x + b
+            while d <= most and is_near(corridor, g, u + d * back, clearance):
+                d += step
+        block += lanes()
+    return -lane_min(-d)
+
+
 @wp.kernel
 def back_off(
     first: int,
@@ -32,30 +71,67 @@ def back_off(
     most_in: wp.array(dtype=wp.float32),
     retreat_out: wp.array(dtype=wp.float32),
 ):
-    """Smallest way back along the approach from which hand and approach keep their clearance; above the most if none.
-
-    The way back only ever grows from point to point, so one pass over the scene finds it: what is clear of the way in
-    stays clear of it, but for the stretch that backing off adds at its start. `least_in` is what is known to be needed.
-    """
+    """The way back of each candidate, from the least on: above the most if that is not enough."""
     i = first + wp.tid() / lanes()
-    g = preshape_in[i]
-    A = to_node_units(corridor, rotation_in[i])
-    b = node_offset(corridor, g, A, position_in[i])
+    lane = wp.tid() % lanes()
     back = approach / corridor.spacing
     limit = level_of(clearance, level_step)
-    d = least_in[i]
+    p = position_in[i]
+    q = rotation_in[i]
+    least = least_in[i]
     most = most_in[i]
-    block = wp.tid() % lanes()
-    while block < blocks and d <= most:
-        mask = points_below(limit, corridor, levels, g, A, b + d * back, points, block)
-        while mask != wp.uint32(0):
-            x = block_point(points, block, lowest_bit(mask))
-            mask = mask & (mask - wp.uint32(1))
-            u = A * x + b
-            while d <= most and is_near(corridor, g, u + d * back, clearance):
-                d += step
-        block += lanes()
-    retreat_out[i] = -lane_min(-d)
+    retreat_out[i] = way_back(
+        corridor, points, levels, limit, blocks, back, clearance, step, preshape_in[i], p, q, least, most, lane
+    )
+
+
+@wp.kernel
+def open_and_back_off(
+    first: int,
+    corridor: FieldStack,
+    points: wp.array(dtype=wp.float32),
+    levels: wp.array(dtype=wp.int32),
+    level_step: float,
+    blocks: int,
+    approach: wp.vec3,
+    clearance: float,
+    step: float,
+    preshape_in: wp.array(dtype=wp.int32),
+    position_in: wp.array(dtype=wp.vec3),
+    rotation_in: wp.array(dtype=wp.quat),
+    wider: wp.array(dtype=wp.int32),
+    least_in: wp.array2d(dtype=wp.float32),
+    most: float,
+    preshape_out: wp.array(dtype=wp.int32),
+    least_out: wp.array(dtype=wp.float32),
+    retreat_out: wp.array(dtype=wp.float32),
+):
+    """Of each candidate's preshape and the wider ones the narrowest with the smallest way back, at most `most`; none is
+    looked at beyond the first that needs less than a step. `least_in` has the way that each preshape needs in any case,
+    `least_out` the smallest of those that were looked at."""
+    i = first + wp.tid() / lanes()
+    lane = wp.tid() % lanes()
+    back = approach / corridor.spacing
+    limit = level_of(clearance, level_step)
+    p = position_in[i]
+    q = rotation_in[i]
+    g = preshape_in[i]
+    chosen = g
+    smallest = float(wp.inf)
+    needed = float(wp.inf)
+    while g >= 0 and needed >= step:
+        least = least_in[i, g]
+        smallest = wp.min(smallest, least)
+        enough = wp.min(needed, most)  # who needs more is no better
+        d = way_back(corridor, points, levels, limit, blocks, back, clearance, step, g, p, q, least, enough, lane)
+        if d <= enough and d < needed:
+            needed = d
+            chosen = g
+        g = wider[g]
+    if lane == 0:
+        preshape_out[i] = chosen
+        least_out[i] = smallest
+        retreat_out[i] = needed
 
 
 @wp.kernel

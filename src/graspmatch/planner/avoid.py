@@ -50,23 +50,18 @@ def choose_posture(
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """The preshape, as matched or wider, that needs the shortest way back; the least that the table asks of any of
     them, and that way [m], infinite where it is too long."""
-    posture, trial = matched.preshape.copy(), matched.preshape.copy()
-    from_table, needed = (np.full(len(matched), np.inf) for _ in range(2))
-    wider = wider_preshapes(space.gripper)
-    height = heights_of_all(matched, space)
-    while True:
-        retry = np.flatnonzero((needed > RETREAT_STEP) & (trial >= 0))
-        if len(retry) == 0:
-            return posture, from_table, needed
-        opened = Candidates(trial[retry], matched.T_world_gripper[retry])
-        table = table_retreat(opened, height[retry, trial[retry]], space, config)
-        from_table[retry] = np.minimum(from_table[retry], table)
-        most = np.minimum(needed[retry], config.largest_retreat)  # who needs more is no better
-        found = point_retreat(opened, space, space.coarse, config.clearance, table, most)
-        better = (found <= most) & (found < needed[retry])
-        chosen = retry[better]
-        posture[chosen], needed[chosen] = trial[chosen], found[better]
-        trial = np.where((trial >= 0) & config.may_open, wider[trial], -1)
+    wider = np.where(config.may_open, wider_preshapes(space.gripper), -1)
+    table = table_retreats(matched, space, config)
+    posture, from_table, needed = (
+        wp.empty(len(matched), dtype=dtype, device=space.device) for dtype in (wp.int32, wp.float32, wp.float32)
+    )
+    inputs = [*corridor_inputs(space, space.coarse), *_way(space, config.clearance)]
+    inputs += [*pose_arrays(matched, space.centre_of_mass, space.device)]
+    inputs += [wp.array(wider, dtype=wp.int32, device=space.device)]
+    inputs += [wp.array(table, dtype=wp.float32, device=space.device), config.largest_retreat]
+    outputs = [posture, from_table, needed]
+    launch(warp_avoid.open_and_back_off, len(matched), inputs, outputs, space.device, lanes=LANES, chunks=4)
+    return posture.numpy().astype(int), from_table.numpy().astype(float), needed.numpy().astype(float)
 
 
 @dataclass(frozen=True)
@@ -144,10 +139,9 @@ def point_retreat(
     """How far, from `least` on, each candidate must back off to keep its clearance of all points [m]; more than `most`
     if that is not enough."""
     retreat = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
-    way = [wp.vec3(*space.gripper.approach), clearance, RETREAT_STEP]
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
     bounds = [wp.array(bound, dtype=wp.float32, device=space.device) for bound in (least, most)]
-    inputs = [*corridor_inputs(space, points), *way, *poses, *bounds]
+    inputs = [*corridor_inputs(space, points), *_way(space, clearance), *poses, *bounds]
     launch(warp_avoid.back_off, len(candidates), inputs, [retreat], space.device, lanes=LANES, chunks=4)
     return retreat.numpy().astype(float)
 
@@ -187,16 +181,19 @@ def corridor_inputs(space: Space, points: BlockCloud) -> list:
     return [space.hand.corridor, points.points, space.hand.corridor_levels, DISTANCE_STEP, points.blocks]
 
 
-def table_retreat(
-    candidates: Candidates, height: Float[np.ndarray, "n"], space: Space, config: CollisionConfig
-) -> Float[np.ndarray, "n"]:
-    """How far candidates at some height above the table must back off to clear it [m]; infinite where backing off leads
-    into it."""
+def _way(space: Space, clearance: float) -> list:
+    """How hands back off, as the kernels take it."""
+    return [wp.vec3(*space.gripper.approach), clearance, RETREAT_STEP]
+
+
+def table_retreats(candidates: Candidates, space: Space, config: CollisionConfig) -> Float[np.ndarray, "n p"]:
+    """How far candidates, in each preshape of the hand, must back off to clear the table [m]; infinite where backing
+    off leads into it."""
     if space.table is None:
-        return np.zeros(len(candidates))
-    missing = config.clearance - height
+        return np.zeros((len(candidates), len(space.gripper.preshapes)))
+    missing = config.clearance - _heights(candidates.T_world_gripper, space.hand.corners, space.table)
     approach_world = candidates.T_world_gripper[:, :3, :3] @ space.gripper.approach
-    rise = -approach_world @ space.table.normal  # height gained per way back
+    rise = (-approach_world @ space.table.normal)[:, None]  # height gained per way back
     retreat = np.where(missing > 0, missing / np.where(rise > 1e-3, rise, np.nan), 0.0)
     # An approach from below begins lower still, and lower by what clearing the points will take.
     farthest = space.gripper.approach_distance + config.largest_retreat
@@ -213,13 +210,6 @@ def table_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "
         chosen = np.flatnonzero(candidates.preshape == index)
         heights[chosen] = _heights(candidates.T_world_gripper[chosen], space.hand.corners[[index]], space.table)[:, 0]
     return heights
-
-
-def heights_of_all(candidates: Candidates, space: Space) -> Float[np.ndarray, "n p"]:
-    """The same for each preshape of the hand, not only their own."""
-    if space.table is None:
-        return np.full((len(candidates), len(space.gripper.preshapes)), np.inf)
-    return _heights(candidates.T_world_gripper, space.hand.corners, space.table)
 
 
 def _heights(

@@ -93,11 +93,13 @@ class Scene:
     @cached_property
     def beyond(self) -> Float[Array, "n"]:
         """How far each point of the target is from those that were seen [m]."""
-        if self.is_guessed is None:
-            return np.zeros(len(self.target.points))
-        from scipy.spatial import KDTree
+        beyond = np.zeros(len(self.target.points))
+        if self.is_guessed is not None:
+            from scipy.spatial import KDTree
 
-        return KDTree(self.seen_points).query(self.target.points, workers=-1)[0]
+            tree = KDTree(self.seen_points, balanced_tree=False)  # quicker than a balanced one for points far from all
+            beyond[self.is_guessed] = tree.query(self.target.points[self.is_guessed], workers=-1)[0]
+        return beyond
 
     @cached_property
     def is_loaded(self) -> bool:

@@ -24,7 +24,7 @@ Array = np.ndarray
 
 Guess = Literal["extrusion", "half turn", "circle", "ridge"]
 GUESSES: tuple[Guess, ...] = ("extrusion", "half turn", "circle", "ridge")
-FINEST, COARSEST, CELLS = 0.0025, 0.006, 24
+FINEST, COARSEST, CELLS = 0.0025, 0.006, 20
 """Edge of a voxel [m], and how many go along the side of a cube as large as what was seen."""
 AWAY = 0.005
 """Guesses nearer than this to a point that was seen are none [m]."""

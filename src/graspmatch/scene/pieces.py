@@ -84,12 +84,15 @@ def surface_around(
 
     The turn is in radians about: positive in a crease, negative at an edge, near zero elsewhere.
     """
-    step = (points[around.index] - points[:, None]) * around.is_linked[:, :, None]
+    is_linked = around.is_linked[:, :, None].astype(np.float32)
     count = around.is_linked.sum(axis=1)
-    local = (step - step.sum(axis=1, keepdims=True) / count[:, None, None]) * around.is_linked[:, :, None]
-    least, normals = least_axis(np.swapaxes(local, 1, 2) @ local)
+    centred = (points - points.mean(axis=0)).astype(np.float32)  # half as much to move
+    step = (centred[around.index] - centred[:, None]) * is_linked
+    local = (step - step.sum(axis=1, keepdims=True) / count[:, None, None].astype(np.float32)) * is_linked
+    least, normals = least_axis((np.swapaxes(local, 1, 2) @ local).astype(np.float64))
     normals = normals * np.where(np.einsum("ni,ni->n", origin - points, normals) < 0, -1.0, 1.0)[:, None]
-    turn = normals[around.index] - normals[:, None]
+    single = normals.astype(np.float32)
+    turn = single[around.index] - single[:, None]
     weight = around.is_linked / np.maximum(np.linalg.norm(step, axis=-1), 1e-9)
     inwards = -np.einsum("nkc,nkc->nk", turn, step) * weight
     return inwards.sum(axis=1) / np.maximum(count - 1, 1), np.sqrt(np.maximum(least, 0) / count)

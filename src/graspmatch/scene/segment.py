@@ -144,12 +144,13 @@ def _things(
 ) -> Int[Array, "n"]:
     """Labels of the points above the table."""
     frame = _frame_of(plane)
-    over = _is_over(points, table_points, frame, BESIDE + LARGEST / 4)
+    sides = _sides(table_points @ frame)
+    over = _is_over(points, sides, frame, BESIDE + LARGEST / 4)
     label = np.full(len(points), OTHER, dtype=np.int32)
     chosen = np.flatnonzero(over)
     centroids, inverse, spacing = thinned(points[chosen], view)
     piece = pieces(centroids, plane, spacing, view.origin)
-    piece = _objects_only(piece, centroids, spacing, plane, _is_over(centroids, table_points, frame, BESIDE))
+    piece = _objects_only(piece, centroids, spacing, plane, _is_over(centroids, sides, frame, BESIDE))
     label[chosen] = piece[inverse]
     return label
 
@@ -192,19 +193,22 @@ def _frame_of(plane: Plane) -> Float[Array, "3 2"]:
     return np.column_stack([first, np.cross(normal, first)])
 
 
-def _is_over(
-    points: Float[Array, "n 3"], table_points: Float[Array, "t 3"], frame: Float[Array, "3 2"], margin: float
-) -> Bool[Array, "n"]:
-    """Which points lie over the convex outline of the table, or beside it by less than the margin [m]."""
+def _sides(flat: Float[Array, "t 2"]) -> Float[Array, "s 3"]:
+    """Of the convex outline of the table, as lines ax + by + c = 0, negative within; none where it is hardly seen."""
     from scipy.spatial import ConvexHull, QhullError
 
-    flat = table_points @ frame
     if len(flat) < 50:
-        return np.ones(len(points), dtype=bool)
+        return np.zeros((0, 3))
     try:
-        sides = ConvexHull(flat).equations
-    except QhullError:  # all on one line: the table is hardly seen
-        return np.ones(len(points), dtype=bool)
+        return ConvexHull(flat).equations
+    except QhullError:  # all on one line
+        return np.zeros((0, 3))
+
+
+def _is_over(
+    points: Float[Array, "n 3"], sides: Float[Array, "s 3"], frame: Float[Array, "3 2"], margin: float
+) -> Bool[Array, "n"]:
+    """Which points lie over the convex outline of the table, or beside it by less than the margin [m]."""
     # A side after the other: one product with all of them takes more memory than time.
     at = points @ frame.astype(points.dtype)
     inside = np.ones(len(points), dtype=bool)

@@ -138,7 +138,7 @@ def _float_points(cloud: CloudFile, scale: float, source: str) -> tuple[Float32[
     if values.ndim not in (2, 3) or values.shape[-1] != 3 or values.dtype.kind not in "uif":
         raise GraspmatchError(f"{source} has shape {values.shape}; (n, 3), or (h, w, 3) if organised, is needed.")
     shape = cloud.shape if values.ndim == 2 else (values.shape[0], values.shape[1])
-    points = (scale * values.reshape(-1, 3)).astype(np.float32)
+    points = values.reshape(-1, 3).astype(np.float32) * np.float32(scale)
     if shape is not None:
         points[(points[:, 2] == 0) & (points[:, 0] == 0)] = np.nan  # how many drivers write that nothing was seen
     return points, shape

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from graspmatch.geometry.se3 import rotation_facing
-from graspmatch.scene.view import View, to_world
+from graspmatch.scene.view import View, seen_from, to_world
 
 Array = np.ndarray
 
@@ -58,19 +58,24 @@ def sight_lines(view: View, target_world: Float[Array, "n 3"], reach: float) -> 
     half = int(np.clip(slope / (COARSENESS * _pixel_angle(view, target_world, distance)), 1, MOST_PIXELS // 2))
     focal = half / slope
     R_view_axes = (view.T_world_view[:3, :3].T @ R).astype(view.points.dtype)
-    points = view.points - view.origin.astype(view.points.dtype)
-    x, y, z = R_view_axes.T @ points.T
+    x, y, z = R_view_axes.T @ seen_from(view.origin, view.points).T
     with np.errstate(divide="ignore", invalid="ignore"):
         near = np.flatnonzero((np.abs(x) < slope * z) & (np.abs(y) < slope * z))  # false of what was not seen
     z = z[near]
     column, row = (half + np.rint(focal * side[near] / z).astype(int) for side in (x, y))
-    depth = np.full((2 * half + 1, 2 * half + 1), np.inf, dtype=np.float32)
-    np.minimum.at(depth.reshape(-1), row * len(depth) + column, z)
-    depth = np.where(np.isfinite(depth), depth, _nearest_around(depth))  # rays between pixels, and pixels that failed
-    return SightLines(np.where(np.isfinite(depth), depth, np.nan).astype(np.float32), R, origin, focal)
+    depth = np.full((2 * half + 1, 2 * half + 1), np.nan, dtype=np.float32)
+    if len(near):
+        window = tuple(slice(max(side.min() - 1, 0), side.max() + 2) for side in (row, column))  # often a small part
+        least = np.full_like(depth[window], np.inf)
+        index = (row - window[0].start) * least.shape[1] + column - window[1].start
+        np.minimum.at(least.reshape(-1), index, z)
+        # Of rays between pixels, and of pixels that failed, those around them say what was seen.
+        least = np.where(np.isfinite(least), least, _nearest_around(least))
+        depth[window] = np.where(np.isfinite(least), least, np.nan)
+    return SightLines(depth, R, origin, focal)
 
 
-def _nearest_around(depth: Float32[Array, "n n"]) -> Float32[Array, "n n"]:
+def _nearest_around(depth: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
     """The least of the 3 x 3 pixels around each."""
     padded = np.pad(depth, 1, constant_values=np.inf)
     rows = np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])

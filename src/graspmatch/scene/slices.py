@@ -25,6 +25,8 @@ ROUND, ROUND_FROM = 0.05, 0.0012
 """A front that is this near to a circle, in its radii or in metres, is one ..."""
 WIDEST_CIRCLE = 1.25
 """... unless its radius is more than so many halves of the width: then it is nearly flat."""
+ON_A_LINE = 1e-9
+"""Share of the greatest possible determinant of a scatter matrix, below which its points have no circle."""
 FALLING = 0.2
 """Of the normals behind a ridge, away from the sensor, at least: the slice is seen to fall there ..."""
 FEWEST_BEHIND, AGREES = 5, 0.005
@@ -137,7 +139,7 @@ def _piece(
     columns = np.arange(filled[0], filled[-1] + 1)
     along = np.interp(columns, filled, front[filled])
     edge = max(min(2, len(along) // 2), 1)
-    ends = float(np.median(along[:edge]) + np.median(along[-edge:])) / 2
+    ends = float(along[:edge].mean() + along[-edge:].mean()) / 2
     of_front = is_wall & (column >= columns[0]) & (column <= columns[-1]) & (at[:, 1] < front[column] + SKIN)
     circle = _circle(at[of_front], len(columns) * spacing / 2, ends)
     return Slice(level, int(columns[0]), low + (columns + 0.5) * spacing, along, ends, circle)
@@ -147,9 +149,16 @@ def _circle(points: Float[Array, "n 3"], half_width: float, ends: float) -> tupl
     """Middle of the circle that fits the points (Kasa 1976), if they are of one whose front is what is seen."""
     if len(points) < FEWEST:
         return None
-    x, y = points[:, 0], points[:, 1]
-    (a, b, c), *_ = np.linalg.lstsq(np.column_stack([2 * x, 2 * y, np.ones(len(x))]), x**2 + y**2, rcond=None)
-    radius = np.sqrt(max(c + a**2 + b**2, 0.0))
-    error = np.sqrt(np.mean((np.hypot(x - a, y - b) - radius) ** 2))
+    middle = points[:, :2].mean(axis=0)
+    x, y = (points[:, :2] - middle).T
+    square = x**2 + y**2
+    xx, xy, yy, xs, ys = x @ x, x @ y, y @ y, x @ square, y @ square
+    determinant = xx * yy - xy**2
+    if determinant <= ON_A_LINE * (xx + yy) ** 2:
+        return None
+    centre = np.array([xs * yy - ys * xy, ys * xx - xs * xy]) / (2 * determinant)
+    radius = np.sqrt(centre @ centre + square.mean())
+    a, b = middle + centre
+    error = np.sqrt(np.mean((np.hypot(x - centre[0], y - centre[1]) - radius) ** 2))
     is_round = error < max(ROUND * radius, ROUND_FROM) and radius < WIDEST_CIRCLE * half_width
     return (float(a), float(b)) if is_round and b > ends - SKIN / 3 else None

@@ -99,7 +99,7 @@ def view_of_cloud(
         origin, notes = np.zeros(3), ("The camera is taken to be at the origin of the cloud.",)
     pixel_angle = None
     if shape is not None and origin is not None:
-        square = np.square(points - origin.astype(points.dtype)) @ np.ones(3, dtype=np.float32)
+        square = np.square(seen_from(origin, points)) @ np.ones(3, dtype=np.float32)
         ranges = np.sqrt(square).reshape(shape)
         pixel_angle = _angle_between_pixels(points.reshape(*shape, 3), ranges)
         points[flying(ranges, pixel_angle).ravel()] = np.nan
@@ -131,6 +131,11 @@ def with_up(view: View, up: object) -> View:
 def to_world(view: View, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     """Points of the view frame, in the world."""
     return apply(view.T_world_view, points.astype(np.float64))
+
+
+def seen_from(origin: Float[Array, "3"], points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """The points with the sensor at zero; the same array where it is there anyway."""
+    return points - origin.astype(points.dtype) if origin.any() else points
 
 
 def _float_points(cloud: CloudFile, scale: float, source: str) -> tuple[Float32[Array, "n 3"], tuple[int, int] | None]:

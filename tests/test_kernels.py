@@ -299,6 +299,40 @@ def test_backing_off_ends_at_the_first_step_that_is_clear_of_all_points(rng, dev
         assert not np.any(grids.interpolate(toy.field, local + np.array([0, 0, found])) < 0.002 - 1e-6)
 
 
+def test_hands_open_as_far_as_that_shortens_their_way_back(rng, device):
+    toy = Corridor(rng, device)
+    fields = [replace(toy.field, values=toy.field.values + more) for more in (0.0, 0.012, 0.013, 0.03)]
+    field, blocks, poses = toy.inputs(fields, 0.00025)
+    n, wider, most, step = len(toy.t), [1, 2, -1, 0], 0.04, 0.001
+    least = rng.choice([0.0, 0.0105, np.inf], size=(n, len(fields)))
+    way = [wp.vec3(0.0, 0.0, 1.0), 0.002, step]
+    alone = np.zeros((n, len(fields)))
+    for g in range(len(fields)):
+        out = wp.empty(n, dtype=wp.float32, device=device)
+        bounds = [wp.array(bound, dtype=wp.float32, device=device) for bound in (least[:, g], np.full(n, most))]
+        inputs = [*field, blocks, *way, wp.full(n, g, dtype=wp.int32, device=device), *poses[1:], *bounds]
+        launch(warp_avoid.back_off, n, inputs, [out], device, lanes=warp_blocks.LANES)
+        alone[:, g] = out.numpy()
+    found = [wp.empty(n, dtype=dtype, device=device) for dtype in (wp.int32, wp.float32, wp.float32)]
+    begin = np.resize([0, 1, 3], n)
+    options = [wp.array(wider, dtype=wp.int32, device=device), wp.array(least, dtype=wp.float32, device=device), most]
+    inputs = [*field, blocks, *way, wp.array(begin, dtype=wp.int32, device=device), *poses[1:], *options]
+    launch(warp_avoid.open_and_back_off, n, inputs, found, device, lanes=warp_blocks.LANES)
+    chosen, smallest, needed = (out.numpy() for out in found)
+    for i in range(n):
+        g, best, asked, shortest = begin[i], begin[i], np.inf, np.inf
+        while g >= 0 and shortest >= step:
+            asked = min(asked, least[i, g])
+            if alone[i, g] <= most and alone[i, g] < shortest:
+                best, shortest = g, alone[i, g]
+            g = wider[g]
+        assert chosen[i] == best
+        assert smallest[i] == pytest.approx(asked)
+        assert needed[i] == pytest.approx(shortest)
+    assert len(np.unique(chosen)) == len(fields)
+    assert 0 < np.isinf(needed).sum() < n
+
+
 def test_first_contact_is_the_earliest_of_all_points(rng, device):
     toy = Corridor(rng, device)
     nodes = grids.node_positions(toy.field.origin, 0.003, toy.field.shape).reshape(*toy.field.shape, 3)

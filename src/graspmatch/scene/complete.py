@@ -137,6 +137,8 @@ def _surface_and_free(
 ) -> tuple[Bool[Array, "x y z"], Bool[Array, "x y z"]]:
     """The voxels that points lie in, and those that were seen to be free."""
     free = (lines.beyond(voxels.all_centres().reshape(-1, 3)) > voxels.spacing).reshape(voxels.shape)
+    if voxels.shape[2] > 1:  # so near to the table that was seen beyond, the lowest cannot tell
+        free[:, :, 0] |= free[:, :, 1]
     surface = np.zeros(voxels.shape, dtype=bool)
     surface[tuple(voxels.index(points @ voxels.R_world_grid).T)] = True
     return surface, free

@@ -12,6 +12,7 @@ from depth_scenes import Box, Cylinder, Setting, camera_at, noisy, render
 from graspmatch.geometry.se3 import rotation_exp
 from graspmatch.scene.captured import HAND_REACH, completed
 from graspmatch.scene.complete import far_side
+from graspmatch.scene.household import bowl
 from graspmatch.scene.scene import Scene
 from graspmatch.scene.sight import sight_lines
 from graspmatch.types import PointCloud
@@ -161,3 +162,21 @@ def test_other_things_reach_down_to_the_table_where_nobody_saw() -> None:
     behind = more[:, 1] > 0.07
     assert np.mean(behind) > 0.3  # its back
     assert more[behind][:, 2].min() < 0.01
+
+
+@pytest.mark.parametrize("elevation", [30, 45])
+def test_what_overhangs_has_no_skirt_at_its_foot(elevation: float) -> None:
+    pytest.importorskip("mujoco")
+    from graspmatch.apps.bench.glimpse import glimpse_of
+    from graspmatch.apps.bench.glimpse import scene_of as scene_of_glimpse
+    from graspmatch.config import ViewConfig
+
+    mesh = bowl().mesh
+    view = ViewConfig(elevation=np.radians(elevation))
+    scene = scene_of_glimpse(glimpse_of([mesh], np.eye(4), view, np.random.default_rng(0)))
+    far, camera = guessed(scene).points, np.array([-1.0, 0.0])
+    foot = np.linalg.norm(mesh.vertices[mesh.vertices[:, 2] < 0.006, :2], axis=-1).max()
+    rim = np.linalg.norm(mesh.vertices[:, :2], axis=-1).max()
+    assert rim > foot + 0.02
+    in_front = (far[:, 2] < 0.008) & (far[:, :2] @ camera > foot + 0.012)
+    assert not in_front.any()

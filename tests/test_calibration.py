@@ -12,6 +12,7 @@ from PIL import Image
 
 import calibration
 import calibration_data
+import guesses
 from calibration_data import (
     Entry,
     Job,
@@ -223,3 +224,17 @@ def test_a_report_has_tables_constants_and_a_plot(tmp_path: Path, capsys: pytest
     assert np.asarray(Image.open(tmp_path / "calibration.png")).std() > 10
     same = calibration.comparison(planner_model(), planner_model())
     assert "as in planner/grade.py" in same
+
+
+def test_grasps_on_guesses_are_counted_by_how_far_from_what_was_seen_they_touch() -> None:
+    far = np.array([0.001, 0.002, 0.010, 0.030, 0.050, 0.004])
+    score = np.array([0.5, 0.7, 0.9, 0.4, 0.3, 0.05])
+    found = guesses.Tried(
+        np.array([0, 0, 1, 1, 0, 0], dtype=bool), far, score, np.array([1, 0, 1, 1, 0, 1], dtype=bool)
+    )
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in guesses.table(found).splitlines()[2:]]
+    assert rows[0] == ["0 to 8 mm", "50 % (1/2)", "0.60", "-", "-", "100 %"]  # what was given up does not count
+    assert rows[1][1:5] == ["-", "-", "100 % (1/1)", "0.90"]
+    assert rows[2][1:] == ["-", "-", "-", "-", "-"]
+    assert rows[4] == ["more than 35 mm", "0 % (0/1)", "0.30", "-", "-", "0 %"]
+    assert guesses.joined([found, found]).held.tolist() == [*found.held, *found.held]

@@ -189,7 +189,7 @@ def main() -> None:
     about = (
         f"{len(found.held)} grasps of {len(sources)} objects ({', '.join(path.name for path in arguments.objects)}), "
         f"{arguments.views} views of each alone and {arguments.piles} piles of five, as far as they come to rest; "
-        f"grasps with a score of {LEAST_SCORE} or more. {machine()}."
+        f"grasps with a score of {LEAST_SCORE} or more. {', '.join(f'{name} {value}' for name, value in machine().items())}."
     )
     text = f"{title}\n\n{table(found)}\n\n{about}\n"
     path = arguments.output / f"guesses-{arguments.gripper}.md"

@@ -185,11 +185,12 @@ def main() -> None:
     works = [Work((source,), arguments.gripper, arguments.views) for source in sources]
     works += [Work(tuple(sources[int(i)] for i in indices), arguments.gripper, 1) for indices in drawn]
     found = joined(list(in_processes(tried, works, processes=usable_cores())))
+    where = ", ".join(f"{name} {value}" for name, value in machine().items())
     title = f"# Grasps on guessed surfaces: {arguments.gripper}"
     about = (
         f"{len(found.held)} grasps of {len(sources)} objects ({', '.join(path.name for path in arguments.objects)}), "
         f"{arguments.views} views of each alone and {arguments.piles} piles of five, as far as they come to rest; "
-        f"grasps with a score of {LEAST_SCORE} or more. {', '.join(f'{name} {value}' for name, value in machine().items())}."
+        f"grasps with a score of {LEAST_SCORE} or more. {where}."
     )
     text = f"{title}\n\n{table(found)}\n\n{about}\n"
     path = arguments.output / f"guesses-{arguments.gripper}.md"

@@ -78,10 +78,7 @@ class Tried:
 
 def tried(work: Work) -> Tried:
     """The grasps of one object or pile."""
-    try:
-        return _tried_in_pile(work) if len(work.sources) > 1 else _tried_alone(work)
-    except GraspmatchError:  # a pile that never comes to rest
-        return joined([])
+    return _tried_in_pile(work) if len(work.sources) > 1 else _tried_alone(work)
 
 
 def _tried_alone(work: Work) -> Tried:
@@ -109,11 +106,15 @@ def _tried_alone(work: Work) -> Tried:
 def _tried_in_pile(work: Work) -> Tried:
     config, seed = LiftConfig(), zlib.crc32(" ".join(source.name for source in work.sources).encode())
     rng = np.random.default_rng(seed)
-    pile = drop([source.load(mass=config.mass) for source in work.sources], config, rng)
+    try:
+        pile = drop([source.load(mass=config.mass) for source in work.sources], config, rng)
+        meshes = [transformed(body.mesh, T) for body, T in zip(pile.objects, pile.T_world_object, strict=True)]
+        scenes = scenes_of(glimpse_of(meshes, pile.T_world_object[0], ViewConfig(distance=0.7), rng))
+    except GraspmatchError:  # it never comes to rest, or nothing of it is in the image
+        return joined([])
     hand, gripper = load_hand(card_path(work.hand), None), load_gripper(work.hand)
-    meshes = [transformed(body.mesh, T) for body, T in zip(pile.objects, pile.T_world_object, strict=True)]
     found = []
-    for scene in scenes_of(glimpse_of(meshes, pile.T_world_object[0], ViewConfig(distance=0.7), rng)):
+    for scene in scenes:
         grasps = plan(scene, gripper, PlannerConfig(seed=seed))
         ranks, held = [], []
         for rank in (rank for rank in RANKS if rank < len(grasps)):
@@ -138,7 +139,7 @@ def _figures(
     target = touchable(scene, config.points, "cpu")
     every = displaced(candidates, trials.error)
     beyond = hold(every, np.tile(trials.friction, n), target, gripper, config, "cpu").beyond.reshape(n, -1)
-    score = grasps.score[ranks] / np.maximum(sure_of(beyond.ravel()).reshape(n, -1).mean(axis=1), 1e-3)
+    score = grasps.score[ranks] / np.maximum(sure_of(beyond).mean(axis=1), 1e-3)
     return Tried(np.full(n, in_pile), beyond.mean(axis=1), np.minimum(score, 1.0), np.array(held))
 
 

@@ -172,7 +172,7 @@ class GraspSet:
     score: Float[Array, "n"]
     """Confidence, 0 to 1: the share of grasps like this one that arrive and hold where one arrival in four is a few
     millimetres off; of what a camera sees, every one (`grip.inexact`). Less by the share of the object's outline in the
-    image that something nearer hides (`Scene.cut`)."""
+    image that something nearer hides (`Scene.cut`), and the farther from what was seen a finger touches."""
     quality: Float[Array, "n"]
     """Smallest wrench that the closed fingers cannot resist besides the object's weight, averaged over small errors of
     the pose, in units of one finger's force; below zero, what is missing to hold the object."""

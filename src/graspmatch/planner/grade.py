@@ -151,7 +151,7 @@ def try_all(
     return tuple(figure.reshape(n, k).mean(axis=-1) for figure in figures)  # type: ignore[return-value]
 
 
-def sure_of(beyond: Float[Array, "n"]) -> Float[Array, "n"]:
+def sure_of(beyond: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """How sure it is that a surface is there, so far from what was seen of the object [m]."""
     return np.exp(-((beyond / GUESS_SCALE) ** 4))
 

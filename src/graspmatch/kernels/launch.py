@@ -18,6 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import warp as wp
+from threadpoolctl import ThreadpoolController
 
 from graspmatch.errors import GraspmatchError
 
@@ -71,6 +72,19 @@ def thread_count() -> int:
     if not wanted.isdecimal() or int(wanted) == 0:
         raise GraspmatchError(f"GRASPMATCH_THREADS is '{wanted}'; it must be a number of threads, 1 or more.")
     return int(wanted)
+
+
+@contextlib.contextmanager
+def blas_on_one_thread() -> Iterator[None]:
+    """While it lasts, matrix products have one thread: the others of OpenBLAS wait for their next product in a loop, for
+    longer than a plan's stages take, on the cores that kernels run on."""
+    with _blas().limit(limits=1, user_api="blas"):
+        yield
+
+
+@functools.cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def launch(

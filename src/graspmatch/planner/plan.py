@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from graspmatch.config import ClosingConfig, PathConfig, PlannerConfig, RankingConfig
-from graspmatch.kernels.launch import resolve_device
+from graspmatch.kernels.launch import blas_on_one_thread, resolve_device
 from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Candidates, Graded
@@ -30,6 +30,7 @@ from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspmatchError, GraspSet, Gripper, Provenance
 
 
+@blas_on_one_thread()
 def plan(
     scene: Scene,
     gripper: Gripper,

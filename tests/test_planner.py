@@ -169,9 +169,11 @@ def test_grasps_hold_the_box_between_the_fingers_and_miss_nothing(toy):
     """A 30 mm box and a hand that opens 60 mm: the fingers end at its sides."""
     scene = box_scene()
     config = replace(SMALL, grip=GripConfig(inexact=1.0), ranking=RankingConfig(least_confidence=0.5))
-    grasps = plan(scene, toy, config)
-    assert len(grasps) > 0, grasps.explain()
-    gap = 0.06 - 2 * grasps.grasp_joints[:, 0]  # at the end, the box turned flush where the hand came obliquely
+    several = [plan(scene, toy, replace(config, seed=seed)) for seed in range(4)]
+    grasps = several[0]
+    assert all(len(some) > 0 for some in several), grasps.explain()
+    joints = np.concatenate([some.grasp_joints for some in several])
+    gap = 0.06 - 2 * joints[:, 0]  # at the end, the box turned flush where the hand came obliquely
     assert np.median(np.abs(gap - 0.03)) < COARSE.grid_spacing
     assert gap.min() > 0.026
     assert np.all(grasps.fingers_touching == 2)

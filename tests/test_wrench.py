@@ -12,8 +12,8 @@ from graspmatch.geometry import se3
 from graspmatch.kernels import reference, warp_wrench
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.reference import Grip
-from graspmatch.kernels.warp_wrench import REACTION, Contacts, Pressure, least_wrench, wrench_margin
-from graspmatch.planner.hold import DESCENTS, DIRECTIONS, SEARCHES
+from graspmatch.kernels.warp_wrench import REACTION, Contacts, Pressure, lay_out, least_wrench, wrench_margin
+from graspmatch.planner.hold import DESCENTS, DIRECTIONS, SEARCHES, room_for_contacts
 
 X, Y, Z = np.eye(3)
 CORNERS = np.array([[0, 0, 0], [0, 1, 1], [0, 1, -1], [0, -1, 1], [0, -1, -1]])
@@ -34,6 +34,7 @@ def shortest(
     """What `least_wrench` finds for each grasp."""
     i = first + wp.tid()
     load = wp.spatial_vector(load_in[i], wp.vec3(0.0, 0.0, 0.0))
+    lay_out(contacts, pressure, i)
     wrench_out[i] = least_wrench(contacts, pressure, i, load, load, tolerance, steps)
 
 
@@ -115,7 +116,7 @@ def on_device(grips, device="cpu", *, length=1.0, centre=(0.0, 0.0, 0.0), turn=N
             count[i, g] = own.sum()
             point[i, g, : own.sum()] = length * grip.arm[own] @ turn.T + centre
             push[i, g, : own.sum()] = grip.push[own] @ turn.T
-    contacts = Contacts()
+    contacts = room_for_contacts(len(grips), fingers, device)
     contacts.count = wp.array(count, dtype=wp.int32, device=device)
     contacts.point, contacts.push = (wp.array(a, dtype=wp.vec3, device=device) for a in (point, push))
     contacts.centre = wp.array(np.tile(centre, (len(grips), 1)), dtype=wp.vec3, device=device)

@@ -8,8 +8,9 @@ the bounds that `warp_blocks` looks it up in, d way back.
 
 import warp as wp
 
+from graspmatch.kernels.warp_arrival import arrival_at
 from graspmatch.kernels.warp_blocks import block_point, lane_min, lanes, level_of, lowest_bit, points_below
-from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate_at, is_inside, low_node
+from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate_at, is_inside
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -233,33 +234,6 @@ def node_offset(stack: FieldStack, g: int, A: wp.mat33, p: wp.vec3) -> wp.vec3:
 @wp.func
 def is_near(stack: FieldStack, g: int, u: wp.vec3, distance: float) -> bool:
     return is_inside(u, stack.dims[g]) and interpolate_at(stack, g, u) < distance
-
-
-@wp.func
-def arrival_at(stack: FieldStack, g: int, u: wp.vec3) -> float:
-    """Closing fraction at which a finger covers a point, `NEVER` outside of the grid: trilinear where all eight nodes
-    are covered, else that of the nearest node, since the field jumps to `NEVER` at the edge of what the finger sweeps.
-    """
-    dims = stack.dims[g]
-    if not is_inside(u, dims):
-        return float(NEVER)
-    low = low_node(u, dims)
-    f = u - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-    total = float(0.0)
-    largest = float(0.0)
-    nearest = float(NEVER)
-    for corner in range(8):
-        a = corner >> 2
-        b = (corner >> 1) & 1
-        c = corner & 1
-        value = stack.values[stack.start[g] + ((low[0] + a) * dims[1] + low[1] + b) * dims[2] + low[2] + c]
-        weight = wp.where(a == 1, f[0], 1.0 - f[0]) * wp.where(b == 1, f[1], 1.0 - f[1])
-        weight = weight * wp.where(c == 1, f[2], 1.0 - f[2])
-        total += weight * value
-        largest = wp.max(largest, value)
-        if (f[0] >= 0.5) == (a == 1) and (f[1] >= 0.5) == (b == 1) and (f[2] >= 0.5) == (c == 1):
-            nearest = value
-    return wp.where(largest < NEVER, total, nearest)
 
 
 @wp.kernel

@@ -1,16 +1,15 @@
 """Where closing fingers, palm and table touch an object between them, for CPU and CUDA.
 
-Legend: i grasp, o index of a point of the object, k its place among those near to what touches; R, p turn
-and shift of the body into the gripper frame; x point there, u the same in node units, n outward normal; p preshape, f
-finger, g what touches (the fingers, then palm, then table); t closing fraction at which a finger covers a point: its
-level sets are the finger's surface on its way.
+Legend: i grasp, o index of a point of the object, k its place among those that the hand can reach, e among those near to
+what touches; R, shift turn and place of the body in the gripper frame; x point there, n outward normal; p preshape, f
+finger, g what touches (the fingers, then palm, then table), c contact of it.
 """
 
 import warp as wp
 
-from graspmatch.kernels.warp_avoid import arrival_at
+from graspmatch.kernels.warp_arrival import arrivals
 from graspmatch.kernels.warp_blocks import BLOCK, FAR, level_of, lowest_bit, points_below
-from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate, node_units
+from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate
 from graspmatch.kernels.warp_wrench import Contacts
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -21,6 +20,8 @@ FACING_FIRST = 0.2
 """Cosine between the way of a finger and its push on a point, at least, for a first contact ..."""
 FACING = 0.5
 """... and for the rest of the patch: beside an edge of the object, the other face is not touched."""
+LEAST_SLOWNESS = 1.0e-6
+"""Closing fraction for each node of a finger's way, at least."""
 PALM_FACING = 0.5
 """The same for the approach and what the palm touches."""
 SAME_FACE = 0.8
@@ -81,47 +82,11 @@ class Reached:
     count: wp.array2d(dtype=wp.int32)
     """Of those near to each, ..."""
     near: wp.array3d(dtype=wp.int32)
-    """... their indices, ..."""
+    """... their places among those that the hand can reach, ..."""
     excess: wp.array3d(dtype=wp.float32)
-    """... and how far from touching they are: for a start closing fractions, then distances [m]."""
-
-
-@wp.func
-def node_value(stack: FieldStack, g: int, i: int, j: int, k: int) -> float:
-    dims = stack.dims[g]
-    return stack.values[stack.start[g] + (i * dims[1] + j) * dims[2] + k]
-
-
-@wp.func
-def slope(before: float, here: float, after: float) -> float:
-    """Central difference; one-sided where the finger never gets to one side."""
-    if before < NEVER and after < NEVER:
-        return 0.5 * (after - before)
-    if after < NEVER:
-        return after - here
-    if before < NEVER:
-        return here - before
-    return 0.0
-
-
-@wp.func
-def slowness(stack: FieldStack, g: int, x: wp.vec3) -> wp.vec3:
-    """Along the way of a finger's surface, the closing fraction that it takes for each metre there [1/m]: the gradient
-    of its field."""
-    dims = stack.dims[g]
-    u = node_units(stack, g, x)
-    i = wp.clamp(int(u[0] + 0.5), 1, dims[0] - 2)
-    j = wp.clamp(int(u[1] + 0.5), 1, dims[1] - 2)
-    k = wp.clamp(int(u[2] + 0.5), 1, dims[2] - 2)
-    here = node_value(stack, g, i, j, k)
-    if here >= NEVER:
-        return wp.vec3(0.0, 0.0, 0.0)
-    gradient = wp.vec3(
-        slope(node_value(stack, g, i - 1, j, k), here, node_value(stack, g, i + 1, j, k)),
-        slope(node_value(stack, g, i, j - 1, k), here, node_value(stack, g, i, j + 1, k)),
-        slope(node_value(stack, g, i, j, k - 1), here, node_value(stack, g, i, j, k + 1)),
-    )
-    return gradient / stack.spacing
+    """... how far from touching they are: for a start closing fractions, then distances [m], ..."""
+    slowness: wp.array4d(dtype=wp.float32)
+    """... and along the way of a finger's surface the closing fraction that it takes there for each node."""
 
 
 @wp.func
@@ -138,65 +103,84 @@ def across(n: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def push_at(grid: int, x: wp.vec3, n: wp.vec3, is_edge: int, face: wp.vec3, hand: Hand) -> wp.vec3:
+def push_of(n: wp.vec3, is_edge: int, face: wp.vec3, slowness: wp.vec3) -> wp.vec3:
     """Direction in which a finger pushes a point: against the normal; beside an edge, where it may be any between those
     of the faces, along the middle of that and the finger's way, unless the finger lies on a `face` with that normal
-    (zero where it lies on none).
-    `grid` is the finger's; the palm has none (-1)."""
+    (zero where it lies on none)."""
     push = -n
-    if grid >= 0 and is_edge == 1 and wp.dot(n, face) <= SAME_FACE:
-        way = slowness(hand.arrival, grid, x)
-        push = wp.normalize(push + way / wp.max(wp.length(way), 1.0e-3))
+    if is_edge == 1 and wp.dot(n, face) <= SAME_FACE:
+        push = wp.normalize(push + slowness / wp.max(wp.length(slowness), LEAST_SLOWNESS))
     return push
+
+
+@wp.func
+def slowness_at(i: int, g: int, e: int, reached: Reached) -> wp.vec3:
+    if g == reached.slowness.shape[1]:
+        return wp.vec3(0.0, 0.0, 0.0)  # the palm
+    return wp.vec3(reached.slowness[i, g, 0, e], reached.slowness[i, g, 1, e], reached.slowness[i, g, 2, e])
+
+
+@wp.func
+def put_contact(
+    i: int,
+    g: int,
+    c: int,
+    e: int,
+    face: wp.vec3,
+    R: wp.mat33,
+    shift: wp.vec3,
+    body: Body,
+    reached: Reached,
+    contacts: Contacts,
+):
+    """One of the points near to g as a contact."""
+    o = reached.index[i, reached.near[i, g, e]]
+    contacts.point[i, g, c] = R * body.points[o] + shift
+    contacts.push[i, g, c] = push_of(R * body.normals[o], body.is_edge[o], face, slowness_at(i, g, e, reached))
 
 
 @wp.func
 def spread_patch(
     i: int,
     g: int,
-    grid: int,
     start: int,
     face: wp.vec3,
     R: wp.mat33,
     shift: wp.vec3,
     tolerance: float,
     body: Body,
-    hand: Hand,
     reached: Reached,
     contacts: Contacts,
 ):
-    """Contacts of g: `start`, and of the points near it whose excess is within the tolerance those farthest along two
-    axes; all by their indices."""
-    x0 = R * body.points[start] + shift
-    n0 = R * body.normals[start]
-    contacts.point[i, g, 0] = x0
-    contacts.push[i, g, 0] = push_at(grid, x0, n0, body.is_edge[start], face, hand)
+    """Contacts of g: `start`, and of the points near to it whose excess is within the tolerance those farthest along
+    two axes; all by their places in the list."""
+    put_contact(i, g, 0, start, face, R, shift, body, reached, contacts)
+    x0 = contacts.point[i, g, 0]
+    o = reached.index[i, reached.near[i, g, start]]
+    beyond = body.beyond[o]
+    n0 = R * body.normals[o]
     a = across(n0)
     b = wp.cross(n0, a)
     reach = wp.vec4(0.0, 0.0, 0.0, 0.0)
     corner = wp.vec4i(start, start, start, start)
-    for k in range(reached.count[i, g]):
-        if reached.excess[i, g, k] <= tolerance:
-            o = reached.near[i, g, k]
-            x = R * body.points[o] + shift - x0
+    for e in range(reached.count[i, g]):
+        if reached.excess[i, g, e] <= tolerance:
+            x = R * body.points[reached.index[i, reached.near[i, g, e]]] + shift - x0
             along = wp.vec2(wp.dot(x, a), wp.dot(x, b))
             for s in range(4):
                 value = along[s // 2] * wp.where(s % 2 == 0, 1.0, -1.0)
                 if value > reach[s]:
                     reach[s] = value
-                    corner[s] = o
+                    corner[s] = e
     found = int(1)
-    beyond = body.beyond[start]
     for s in range(4):
-        o = corner[s]
-        is_new = o != start
+        e = corner[s]
+        is_new = e != start
         for r in range(s):
-            is_new = is_new and corner[r] != o
+            is_new = is_new and corner[r] != e
         if is_new:
-            x = R * body.points[o] + shift
-            contacts.point[i, g, found] = x
-            contacts.push[i, g, found] = push_at(grid, x, R * body.normals[o], body.is_edge[o], face, hand)
-            beyond += body.beyond[o]
+            put_contact(i, g, found, e, face, R, shift, body, reached, contacts)
+            beyond += body.beyond[reached.index[i, reached.near[i, g, e]]]
             found += 1
     contacts.count[i, g] = found
     contacts.beyond[i, g] = beyond / float(found)
@@ -268,18 +252,10 @@ def touch_table(i: int, g: int, R: wp.mat33, shift: wp.vec3, floor: float, up: w
 
 
 @wp.func
-def note_near(i: int, g: int, o: int, excess: float, reached: Reached):
-    """One more point that is near to a finger or the palm."""
-    k = reached.count[i, g]
-    reached.near[i, g, k] = o
-    reached.excess[i, g, k] = excess
-    reached.count[i, g] = k + 1
-
-
-@wp.func
-def touch(
+def touch_finger(
     i: int,
-    p: int,
+    f: int,
+    grid: int,
     blocks: int,
     R: wp.mat33,
     shift: wp.vec3,
@@ -290,79 +266,105 @@ def touch(
     fraction: wp.array2d(dtype=wp.float32),
     contacts: Contacts,
 ):
-    """For each finger the fraction at which it first touches, and the contacts of its patch: of the points within
-    `tolerance` [m] of its surface by then, up to five. And those of the palm, if the object touches it."""
-    fingers = fraction.shape[1]
-    grid = p * fingers  # all fingers of a preshape have grids of one shape
-    palm_start = int(-1)
-    palm_gap = float(PALM_TOUCHES)
-    for f in range(fingers):
-        fraction[i, f] = NEVER
-        contacts.count[i, f] = -1  # for now, which point it is
-    for g in range(fingers + 1):
-        reached.count[i, g] = 0
+    """The fraction at which a finger first touches, and the contacts of its patch: of the points within `tolerance` [m]
+    of its surface by then, up to five."""
+    spacing = hand.arrival.spacing
+    A = R / spacing
+    b = (shift - hand.arrival.origin[grid]) / spacing
     points = reached.blocks[i]
-    A = R / hand.arrival.spacing
-    b = (shift - hand.arrival.origin[grid]) / hand.arrival.spacing
-    b_palm = (shift - hand.pivot[p] - hand.distance.origin[p]) / hand.distance.spacing
+    near = reached.near[i, f]
+    excess = reached.excess[i, f]
+    earliest = float(NEVER)
+    start = int(-1)
+    count = int(0)
     block = int(0)
     while block < blocks:
-        for f in range(fingers):
-            # the last level is that of cells never swept
-            limit = wp.min(level_of(fraction[i, f] + LATE, hand.arrival_step), 255)
-            mask = points_below(limit, hand.arrival, hand.arrival_levels, grid + f, A, b, points, block)
+        begin = count
+        end = wp.where(block == 0, 1, blocks)  # the first block, spread over all, tells how late the others may be
+        limit = wp.min(level_of(earliest + LATE, hand.arrival_step), 255)  # the last level is that of cells never swept
+        while block < end:
+            mask = points_below(limit, hand.arrival, hand.arrival_levels, grid, A, b, points, block)
             while mask != wp.uint32(0):
-                o = reached.index[i, block * BLOCK + lowest_bit(mask)]
+                near[count] = block * BLOCK + lowest_bit(mask)
                 mask = mask & (mask - wp.uint32(1))
-                x = R * body.points[o] + shift
-                t = arrival_at(hand.arrival, grid + f, node_units(hand.arrival, grid + f, x))
-                if t < wp.min(fraction[i, f] + LATE, NEVER):
-                    note_near(i, f, o, t, reached)
-                if t < fraction[i, f]:
-                    way = slowness(hand.arrival, grid + f, x)
-                    if -wp.dot(R * body.normals[o], way) >= FACING_FIRST * wp.length(way):
-                        fraction[i, f] = t
-                        contacts.count[i, f] = o
-        limit = level_of(PALM_TOUCHES + tolerance, hand.distance_step)
-        mask = points_below(limit, hand.distance, hand.distance_levels, p, A, b_palm, points, block)
+                count += 1
+            block += 1
+        arrivals(hand.arrival, grid, A, b, points, near, begin, count, excess, reached.slowness[i, f])
+        for e in range(begin, count):
+            if excess[e] < earliest:
+                way = slowness_at(i, f, e, reached)
+                n = R * body.normals[reached.index[i, near[e]]]
+                if -wp.dot(n, way) >= FACING_FIRST * wp.length(way):
+                    earliest = excess[e]
+                    start = e
+    fraction[i, f] = earliest
+    reached.count[i, f] = count
+    contacts.count[i, f] = 0
+    if earliest <= 1.0:
+        on_face = int(-1)
+        nearest = float(tolerance)
+        for e in range(count):  # from fractions to distances
+            late = excess[e] - earliest
+            excess[e] = NEVER
+            if late < LATE:
+                way = slowness_at(i, f, e, reached)
+                distance = late * spacing / wp.max(wp.length(way), LEAST_SLOWNESS)
+                if distance <= tolerance:
+                    o = reached.index[i, near[e]]
+                    is_touched = e == start or -wp.dot(R * body.normals[o], way) >= FACING * wp.length(way)
+                    if is_touched:
+                        excess[e] = distance
+                    if is_touched and distance <= nearest and body.is_edge[o] == 0:
+                        nearest = distance
+                        on_face = e
+        face = wp.vec3(0.0, 0.0, 0.0)
+        if on_face >= 0:
+            start = on_face
+            face = R * body.normals[reached.index[i, near[on_face]]]
+        spread_patch(i, f, start, face, R, shift, tolerance, body, reached, contacts)
+
+
+@wp.func
+def touch_palm(
+    i: int,
+    g: int,
+    p: int,
+    blocks: int,
+    R: wp.mat33,
+    shift: wp.vec3,
+    tolerance: float,
+    body: Body,
+    hand: Hand,
+    reached: Reached,
+    contacts: Contacts,
+):
+    """The contacts of the palm, if the object touches it."""
+    points = reached.blocks[i]
+    A = R / hand.distance.spacing
+    b = (shift - hand.pivot[p] - hand.distance.origin[p]) / hand.distance.spacing
+    limit = level_of(PALM_TOUCHES + tolerance, hand.distance_step)
+    start = int(-1)
+    smallest = float(PALM_TOUCHES)
+    count = int(0)
+    block = int(0)
+    while block < blocks:
+        mask = points_below(limit, hand.distance, hand.distance_levels, p, A, b, points, block)
         while mask != wp.uint32(0):
-            o = reached.index[i, block * BLOCK + lowest_bit(mask)]
+            k = block * BLOCK + lowest_bit(mask)
             mask = mask & (mask - wp.uint32(1))
+            o = reached.index[i, k]
             if wp.dot(R * body.normals[o], hand.approach) < -PALM_FACING:
                 x = R * body.points[o] + shift - hand.pivot[p]
                 gap = interpolate(hand.distance, p, x)
                 if gap > PALM_TOUCHES or is_before_palm(hand.distance, p, x, gap, hand.approach):
-                    note_near(i, fingers, o, gap, reached)
-                    if gap <= palm_gap:
-                        palm_gap = gap
-                        palm_start = o
+                    reached.near[i, g, count] = k
+                    reached.excess[i, g, count] = gap
+                    if gap <= smallest:
+                        smallest = gap
+                        start = count
+                    count += 1
         block += 1
-    for f in range(fingers):
-        start = contacts.count[i, f]
-        on_face = int(-1)
-        nearest = float(tolerance)
-        contacts.count[i, f] = 0
-        if fraction[i, f] <= 1.0:
-            for k in range(reached.count[i, f]):  # from fractions to distances
-                o = reached.near[i, f, k]
-                late = reached.excess[i, f, k] - fraction[i, f]
-                if late < LATE:
-                    way = slowness(hand.arrival, grid + f, R * body.points[o] + shift)
-                    if o != start and -wp.dot(R * body.normals[o], way) < FACING * wp.length(way):
-                        late = float(NEVER)
-                    else:
-                        late = late / wp.max(wp.length(way), 1.0e-3)
-                reached.excess[i, f, k] = late
-                if late <= nearest and body.is_edge[o] == 0:
-                    nearest = late
-                    on_face = o
-            face = wp.vec3(0.0, 0.0, 0.0)
-            if on_face >= 0:
-                start = on_face
-                face = R * body.normals[on_face]
-            spread_patch(i, f, grid + f, start, face, R, shift, tolerance, body, hand, reached, contacts)
-    contacts.count[i, fingers] = 0
-    if palm_start >= 0:
-        spread_patch(
-            i, fingers, -1, palm_start, hand.approach, R, shift, palm_gap + tolerance, body, hand, reached, contacts
-        )
+    reached.count[i, g] = count
+    contacts.count[i, g] = 0
+    if start >= 0:
+        spread_patch(i, g, start, hand.approach, R, shift, smallest + tolerance, body, reached, contacts)

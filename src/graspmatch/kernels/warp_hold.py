@@ -9,9 +9,9 @@ the object's centre of mass in the gripper frame; w wrench.
 
 import warp as wp
 
-from graspmatch.kernels.warp_contacts import Body, Hand, Reached, gather, touch, touch_table
+from graspmatch.kernels.warp_contacts import Body, Hand, Reached, gather, touch_finger, touch_palm, touch_table
 from graspmatch.kernels.warp_fields import NEVER
-from graspmatch.kernels.warp_wrench import Contacts, Pressure, least_wrench, margin_of
+from graspmatch.kernels.warp_wrench import Contacts, Pressure, lay_out, least_wrench, margin_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -125,7 +125,10 @@ def hold(
     while state < HELD:
         R = wp.quat_to_matrix(q)
         contacts.centre[i] = c
-        touch(i, p, blocks, R, c, course.patch, body, hand, reached, fraction, contacts)
+        for f in range(fingers):
+            grid = p * fingers + f
+            touch_finger(i, f, grid, blocks, R, c, course.patch, body, hand, reached, fraction, contacts)
+        touch_palm(i, fingers, p, blocks, R, c, course.patch, body, hand, reached, contacts)
         contacts.count[i, fingers + 1] = 0
         if state == CLOSING:
             touch_table(i, fingers + 1, R, c, floor, up, body, contacts)
@@ -145,6 +148,7 @@ def hold(
         if earliest > 1.0:
             state = LOST
         else:
+            lay_out(contacts, pressure, i)
             w = least_wrench(contacts, pressure, i, load, last, course.tolerance, course.searches)
             size = wp.length(w)
             if steps > 0 and wp.dot(w, last) < 0.0:
@@ -180,6 +184,7 @@ def hold(
             figures_out[i, BEYOND] = wp.max(figures_out[i, BEYOND], contacts.beyond[i, f])
     margin = float(LOST_MARGIN)
     if state == HELD or course.turns == 0.0:
+        lay_out(contacts, pressure, i)
         margin = margin_of(contacts, pressure, i, weight, directions, course.descents)
         if margin < -course.tolerance:
             state = int(LOST)  # the search for the least wrench did not find what the one for the margin does

@@ -23,6 +23,7 @@ EXCHANGES = 12
 """Times that it moves shares between them, for each new corner."""
 Row = wp.types.vector(length=6, dtype=wp.float32)
 Corners = wp.types.matrix(shape=(ROOM, 6), dtype=wp.float32)
+Products = wp.types.matrix(shape=(ROOM, ROOM), dtype=wp.float32)
 Shares = wp.types.vector(length=ROOM, dtype=wp.float32)
 
 
@@ -47,6 +48,10 @@ class Contacts:
     """Of mass: torques are about it."""
     beyond: wp.array2d(dtype=wp.float32)
     """How far from what was seen each touches, the mean over its contacts [m]."""
+    start: wp.array2d(dtype=wp.int32)
+    """Scratch of `lay_out`: number of the first contact of each, ..."""
+    rows: wp.array3d(dtype=wp.float32)
+    """... and for each contact its push, its arm, and how far it goes where one looks."""
 
 
 @wp.struct
@@ -68,29 +73,80 @@ class Pressure:
 
 
 @wp.func
-def unit_wrench(contacts: Contacts, pressure: Pressure, i: int, g: int, d: wp.spatial_vector) -> wp.spatial_vector:
-    """The wrench of unit normal force that goes farthest along d, of all contacts of g and of their friction cones:
-    |t|^2 / friction^2 + m^2 / torsion^2 <= 1 for the force t across, the torque m about the normal."""
-    force = wp.spatial_top(d)
-    torque = wp.spatial_bottom(d)
+def lay_out(contacts: Contacts, pressure: Pressure, i: int):
+    """Note where contacts and friction cones of a grasp are, side by side: before wrenches are looked for."""
+    found = int(0)
+    for g in range(contacts.count.shape[1]):
+        contacts.start[i, g] = found
+        for c in range(contacts.count[i, g]):
+            n = contacts.push[i, g, c]
+            r = (contacts.point[i, g, c] - contacts.centre[i]) / pressure.length
+            for axis in range(3):
+                contacts.rows[i, axis, found] = n[axis]
+                contacts.rows[i, 3 + axis, found] = r[axis]
+            found += 1
+    contacts.start[i, contacts.count.shape[1]] = found
+
+
+@wp.func_native("""
+    float* push = rows.data + (size_t)i * 7 * rows.shape[2];
+    float* arm = push + 3 * rows.shape[2];
+    float* __restrict farthest = arm + 3 * rows.shape[2];
+    const int room = rows.shape[2];
+    for (int c = 0; c < count; ++c) {
+        float n0 = push[c], n1 = push[room + c], n2 = push[2 * room + c];
+        float r0 = arm[c], r1 = arm[room + c], r2 = arm[2 * room + c];
+        float v0 = d[0] + d[4] * r2 - d[5] * r1;
+        float v1 = d[1] + d[5] * r0 - d[3] * r2;
+        float v2 = d[2] + d[3] * r1 - d[4] * r0;
+        float along = v0 * n0 + v1 * n1 + v2 * n2;
+        float twist = d[3] * n0 + d[4] * n1 + d[5] * n2;
+        v0 -= along * n0;
+        v1 -= along * n1;
+        v2 -= along * n2;
+        float squared = friction * (v0 * v0 + v1 * v1 + v2 * v2) + torsion * twist * twist;
+#if defined(__CUDA_ARCH__)
+        farthest[c] = along + sqrtf(squared);
+#else
+        farthest[c] = along + __builtin_elementwise_sqrt(squared);
+#endif
+    }
+""")
+def look_along(
+    d: wp.spatial_vector, friction: float, torsion: float, rows: wp.array3d(dtype=wp.float32), i: int, count: int
+):
+    """How far the wrench of unit normal force of each contact goes along d, within its friction cone: for the force t
+    across and the torque m about the normal |t|^2 / friction^2 + m^2 / torsion^2 <= 1. Given are the squares of both.
+
+    In C++, so that a CPU looks at 8 contacts at once."""
+    ...
+
+
+@wp.func
+def unit_wrench(contacts: Contacts, pressure: Pressure, i: int, c: int, d: wp.spatial_vector) -> wp.spatial_vector:
+    """The wrench of unit normal force of one contact that goes farthest along d."""
+    n = wp.vec3(contacts.rows[i, 0, c], contacts.rows[i, 1, c], contacts.rows[i, 2, c])
+    r = wp.vec3(contacts.rows[i, 3, c], contacts.rows[i, 4, c], contacts.rows[i, 5, c])
     friction = pressure.friction[i] * pressure.friction[i]
     torsion = pressure.torsion / pressure.length * pressure.torsion / pressure.length
-    best = float(-1.0e30)
-    wrench = wp.spatial_vector()
-    for c in range(contacts.count[i, g]):
-        n = contacts.push[i, g, c]
-        r = (contacts.point[i, g, c] - contacts.centre[i]) / pressure.length
-        v = force + wp.cross(torque, r)  # d . (f, r x f) = f . v
-        along = wp.dot(v, n)
-        slide = v - along * n
-        twist = wp.dot(torque, n)
-        gain = wp.sqrt(friction * wp.length_sq(slide) + torsion * twist * twist)
-        if along + gain > best:
-            best = along + gain
-            scale = wp.where(gain > 1.0e-9, 1.0 / wp.max(gain, 1.0e-9), 0.0)
-            total = n + scale * friction * slide
-            wrench = wp.spatial_vector(total, wp.cross(r, total) + scale * torsion * twist * n)
-    return wrench
+    torque = wp.spatial_bottom(d)
+    v = wp.spatial_top(d) + wp.cross(torque, r)  # d . (f, r x f) = f . v
+    slide = v - wp.dot(v, n) * n
+    twist = wp.dot(torque, n)
+    gain = wp.sqrt(friction * wp.length_sq(slide) + torsion * twist * twist)
+    scale = wp.where(gain > 1.0e-9, 1.0 / wp.max(gain, 1.0e-9), 0.0)
+    total = n + scale * friction * slide
+    return wp.spatial_vector(total, wp.cross(r, total) + scale * torsion * twist * n)
+
+
+@wp.func
+def farthest_contact(contacts: Contacts, i: int, g: int) -> int:
+    """Of the contacts of g, of which there is one at least, the one that goes farthest along where one looks."""
+    best = contacts.start[i, g]
+    for c in range(best + 1, contacts.start[i, g + 1]):
+        if contacts.rows[i, 6, c] > contacts.rows[i, 6, best]:
+            best = c
+    return best
 
 
 @wp.func
@@ -101,25 +157,32 @@ def farthest_wrench(
 
     A drive of several fingers shares out its force among them as the object pushes back; palm and table only react.
     """
-    total = load
     fingers = pressure.drive.shape[0]
+    friction = pressure.friction[i] * pressure.friction[i]
+    torsion = pressure.torsion / pressure.length * pressure.torsion / pressure.length
+    look_along(d, friction, torsion, contacts.rows, i, contacts.start[i, fingers + 2])
+    total = load
     for drive in range(fingers):
         farthest = float(-1.0e30)
-        of_drive = wp.spatial_vector()
+        contact = int(-1)
+        force = float(0.0)
         for f in range(drive, fingers):
-            if pressure.drive[f] == drive and contacts.count[i, f] > 0:
-                w = unit_wrench(contacts, pressure, i, f, d)
-                h = wp.dot(w, d)
+            if pressure.drive[f] == drive and contacts.start[i, f + 1] > contacts.start[i, f]:
+                c = farthest_contact(contacts, i, f)
+                h = contacts.rows[i, 6, c]
                 if h > farthest:
                     farthest = h
-                    of_drive = pressure.share[f] * w
+                    contact = c
+                    force = pressure.share[f]
                     if pressure.share[f] == 1.0 and h > 0.0:
-                        of_drive = pressure.most * w
-        total += of_drive
+                        force = pressure.most
+        if contact >= 0:
+            total += force * unit_wrench(contacts, pressure, i, contact, d)
     for g in range(fingers, fingers + 2):
-        if contacts.count[i, g] > 0:
-            w = unit_wrench(contacts, pressure, i, g, d)
-            total += wp.where(wp.dot(w, d) > 0.0, REACTION, 0.0) * w
+        if contacts.start[i, g + 1] > contacts.start[i, g]:
+            c = farthest_contact(contacts, i, g)
+            if contacts.rows[i, 6, c] > 0.0:
+                total += REACTION * unit_wrench(contacts, pressure, i, c, d)
     return total
 
 
@@ -141,10 +204,14 @@ def least_wrench(
     how short a wrench can be.
     """
     corner = Corners()
+    product = Products()
+    along = Shares()
     share = Shares()
     w = farthest_wrench(contacts, pressure, i, load, -guess)
     corner[0] = as_row(w)
+    product[0, 0] = wp.length_sq(w)
     share[0] = 1.0
+    kept = int(1)
     bound = float(0.0)
     for _ in range(steps):
         size = wp.length(w)
@@ -154,31 +221,42 @@ def least_wrench(
         bound = wp.max(bound, wp.dot(v, w) / size)
         if bound >= (1.0 - GAP) * size:
             break
-        slot = int(0)
-        for k in range(ROOM):
-            if share[k] < share[slot]:
-                slot = k
+        slot = int(kept)
+        if kept < ROOM:
+            kept += 1
+        else:
+            slot = 0
+            for k in range(ROOM):
+                if share[k] < share[slot]:
+                    slot = k
         w += share[slot] * (v - from_row(corner[slot]))
         corner[slot] = as_row(v)
-        for _ in range(EXCHANGES):
-            row = as_row(w)
+        row = as_row(w)
+        for k in range(kept):
+            product[slot, k] = wp.dot(corner[slot], corner[k])
+            product[k, slot] = product[slot, k]
+            along[k] = wp.dot(corner[k], row)
+        exchanges = int(0)
+        while exchanges < EXCHANGES:
+            exchanges += 1
             near = int(slot)
             far = int(slot)
-            least = wp.dot(corner[slot], row)
             most = float(-1.0e30)
-            for k in range(ROOM):
-                along = wp.dot(corner[k], row)
-                if share[k] > 0.0 and along < least:
-                    least = along
+            for k in range(kept):
+                if share[k] > 0.0 and along[k] < along[near]:
                     near = k
-                if share[k] > 0.0 and along > most:
-                    most = along
+                if share[k] > 0.0 and along[k] > most:
+                    most = along[k]
                     far = k
-            way = from_row(corner[near] - corner[far])
-            moved = wp.clamp((most - least) / wp.max(wp.length_sq(way), 1.0e-12), 0.0, share[far])
-            w += moved * way
+            distance = product[near, near] + product[far, far] - 2.0 * product[near, far]
+            moved = wp.clamp((most - along[near]) / wp.max(distance, 1.0e-12), 0.0, share[far])
             share[near] += moved
             share[far] -= moved
+            for k in range(kept):
+                along[k] += moved * (product[near, k] - product[far, k])
+        w = wp.spatial_vector()
+        for k in range(kept):
+            w += share[k] * from_row(corner[k])
     if bound <= tolerance:
         w = wp.spatial_vector()
     return w
@@ -238,4 +316,5 @@ def wrench_margin(
     Below zero, the smallest that is missing to hold the object still."""
     i = first + wp.tid()
     load = wp.spatial_vector(load_in[i], wp.vec3(0.0, 0.0, 0.0))
+    lay_out(contacts, pressure, i)
     margin_out[i] = margin_of(contacts, pressure, i, load, directions, steps)

@@ -132,7 +132,7 @@ def hold(
     pushed, not turned, and what holds it is asked before it is lifted."""
     n, f = len(candidates), len(gripper.fingers)
     room = min(config.reachable_points, len(target.body.points))
-    contacts, reached = _room_for_contacts(n, f, device), _room_for_points(n, f, room, device)
+    contacts, reached = room_for_contacts(n, f, device), _room_for_points(n, f, room, device)
     fraction = wp.empty((n, f), dtype=wp.float32, device=device)
     state = wp.empty(n, dtype=wp.int32, device=device)
     margin = wp.empty(n, dtype=wp.float32, device=device)
@@ -219,7 +219,8 @@ def _touching_hand(gripper: Gripper, device: str) -> warp_contacts.Hand:
     return hand
 
 
-def _room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contacts:
+def room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contacts:
+    """None yet, of n grasps."""
     shape = (n, fingers + 2, warp_wrench.CORNERS)
     contacts = warp_wrench.Contacts()
     contacts.count = wp.zeros(shape[:2], dtype=wp.int32, device=device)
@@ -227,6 +228,8 @@ def _room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contact
     contacts.push = wp.zeros(shape, dtype=wp.vec3, device=device)
     contacts.centre = wp.zeros(n, dtype=wp.vec3, device=device)
     contacts.beyond = wp.zeros(shape[:2], dtype=wp.float32, device=device)
+    contacts.start = wp.zeros((n, fingers + 3), dtype=wp.int32, device=device)
+    contacts.rows = wp.zeros((n, 7, (fingers + 2) * warp_wrench.CORNERS), dtype=wp.float32, device=device)
     return contacts
 
 
@@ -237,6 +240,7 @@ def _room_for_points(n: int, fingers: int, room: int, device: str) -> warp_conta
     reached.count = wp.empty((n, fingers + 1), dtype=wp.int32, device=device)
     reached.near = wp.empty((n, fingers + 1, room), dtype=wp.int32, device=device)
     reached.excess = wp.empty((n, fingers + 1, room), dtype=wp.float32, device=device)
+    reached.slowness = wp.empty((n, fingers, 3, room), dtype=wp.float32, device=device)
     return reached
 
 

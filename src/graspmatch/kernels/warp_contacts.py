@@ -1,8 +1,8 @@
 """Where closing fingers, palm and table touch an object between them, for CPU and CUDA.
 
-Legend: i grasp, o index of a point of the object, k its place among those that the hand can reach, e among those near to
-what touches; R, shift turn and place of the body in the gripper frame; x point there, n outward normal; p preshape, f
-finger, g what touches (the fingers, then palm, then table), c contact of it.
+Legend: i grasp, o index of a point of the object, k its place among those that the hand can reach, e among those near
+to what touches; R, shift turn and place of the body in the gripper frame; x point there, n outward normal; p preshape,
+f finger, g what touches (the fingers, then palm, then table), c contact of it.
 """
 
 import warp as wp

@@ -246,7 +246,7 @@ class Corridor:
             vec3(self.t, self.device),
             wp.array(np.roll(self.q, -1, axis=-1), dtype=wp.quat, device=self.device),
         ]
-        return [stack_fields(fields, self.device), blocks.points, levels, step], blocks.blocks, poses
+        return [stack_fields(fields, self.device), blocks.points, blocks.balls, levels, step], blocks.blocks, poses
 
 
 def test_least_distance_is_that_of_all_points(rng, device):

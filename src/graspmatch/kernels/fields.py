@@ -57,6 +57,8 @@ class BlockCloud:
     points: wp.array
     """Of each block first all x, then all y, then all z [m]; the last block of each cloud is filled up with points far
     away."""
+    balls: wp.array
+    """Around blocks, of each 32 of them first all x of their centres, then all y, all z and all radii [m]."""
     ends: tuple[int, ...]
     """For each of the clouds that lie one after the other, the block after its last one."""
 
@@ -78,8 +80,10 @@ def upload_blocks(clouds: Sequence[Float[np.ndarray, "_ 3"]], device: str, *, sc
     """
     parts = [in_blocks(cloud) for cloud in clouds]
     parts = [scatter(part) for part in parts] if scattered else parts
-    points = wp.array(np.concatenate(parts).ravel(), dtype=wp.float32, device=device)
-    return BlockCloud(points, tuple(int(end) for end in np.cumsum([len(part) for part in parts])))
+    blocks = np.concatenate(parts)
+    points = wp.array(blocks.ravel(), dtype=wp.float32, device=device)
+    balls = wp.array(balls_around(blocks).ravel(), dtype=wp.float32, device=device)
+    return BlockCloud(points, balls, tuple(int(end) for end in np.cumsum([len(part) for part in parts])))
 
 
 def in_blocks(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3 b"]:
@@ -87,6 +91,19 @@ def in_blocks(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3 b"]:
     blocks = np.full((-(-len(points) // BLOCK), BLOCK, 3), FAR, dtype=np.float32)
     blocks.reshape(-1, 3)[: len(points)] = points
     return np.ascontiguousarray(np.swapaxes(blocks, 1, 2))
+
+
+def balls_around(blocks: Float[np.ndarray, "m 3 b"]) -> Float[np.ndarray, "k 4 b"]:
+    """Centre and radius of a ball around each block, coordinate by coordinate for each 32 of them."""
+    is_filled = blocks[:, :1] < FAR
+    lower = np.where(is_filled, blocks, np.inf).min(axis=-1)
+    upper = np.where(is_filled, blocks, -np.inf).max(axis=-1)
+    centre = (lower + upper) / 2
+    square = np.sum((blocks - centre[:, :, None]) ** 2, axis=1)
+    radius = np.sqrt(np.where(is_filled[:, 0], square, 0.0).max(axis=-1)) + 1e-6  # as much as rounding may take
+    balls = np.zeros((-(-len(blocks) // BLOCK), BLOCK, 4), dtype=np.float32)
+    balls.reshape(-1, 4)[: len(blocks)] = np.hstack([centre, radius[:, None]])
+    return np.ascontiguousarray(np.swapaxes(balls, 1, 2))
 
 
 def scatter(blocks: Float[np.ndarray, "m 3 b"]) -> Float[np.ndarray, "m 3 b"]:

@@ -76,8 +76,8 @@ def thread_count() -> int:
 
 @contextlib.contextmanager
 def blas_on_one_thread() -> Iterator[None]:
-    """While it lasts, matrix products have one thread: the others of OpenBLAS wait for their next product in a loop, for
-    longer than a plan's stages take, on the cores that kernels run on."""
+    """While it lasts, matrix products have one thread: the others of OpenBLAS wait for the next product in a loop, longer
+    than a stage of a plan takes, on the cores that kernels run on."""
     with _blas().limit(limits=1, user_api="blas"):
         yield
 

@@ -2,25 +2,40 @@
 
 On CUDA a warp works on one candidate, each of its lanes on a share of the points; on a CPU one thread has them all.
 
-Legend: i candidate, g its preshape, q, p its pose, x a point of the scene, u = A x + b the same in node units, levels
+Legend: group 32 blocks, near those of them that matter, i candidate, g its preshape, q, p its pose, x a point of the scene, u = A x + b the same in node units, levels
 the bounds that `warp_blocks` looks it up in, d way back.
 """
 
 import warp as wp
 
 from graspmatch.kernels.warp_arrival import arrival_at
-from graspmatch.kernels.warp_blocks import block_point, lane_min, lanes, level_of, lowest_bit, points_below
+from graspmatch.kernels.warp_blocks import (
+    BLOCK,
+    bits_below,
+    block_point,
+    blocks_near,
+    lane_min,
+    lanes,
+    level_of,
+    lowest_bit,
+    points_below,
+)
 from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate_at, is_inside
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+
+FAR = wp.constant(1.0e3)
+"""Points outside of a grid count however far they are, up to this [m]."""
 
 
 @wp.func
 def way_back(
     corridor: FieldStack,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
-    limit: int,
+    level_step: float,
     blocks: int,
     back: wp.vec3,
     clearance: float,
@@ -30,7 +45,6 @@ def way_back(
     q: wp.quat,
     least: float,
     most: float,
-    lane: int,
 ) -> float:
     """Smallest way back along the approach from which hand and approach keep their clearance; above the most if none.
 
@@ -40,17 +54,31 @@ def way_back(
     """
     A = to_node_units(corridor, q)
     b = node_offset(corridor, g, A, p)
+    limit = level_of(clearance, level_step)
     d = least
-    block = lane
-    while block < blocks and d <= most:
-        mask = points_below(limit, corridor, levels, g, A, b + d * back, points, block)
-        while mask != wp.uint32(0):
-            x = block_point(points, block, lowest_bit(mask))
-            mask = mask & (mask - wp.uint32(1))
-            u = A * x + b
-            while d <= most and is_near(corridor, g, u + d * back, clearance):
-                d += step
-        block += lanes()
+    group = int(0)
+    while group * BLOCK < blocks and d <= most:
+        left = ~wp.uint32(0)
+        looked = float(-1.0)
+        near = wp.uint32(0)
+        while left != wp.uint32(0) and d <= most:
+            if d > looked:
+                moved = b + d * back
+                near = blocks_near(clearance, FAR, corridor, levels, level_step, g, A, moved, balls, group, blocks)
+                looked = d
+            near = near & left
+            left = wp.uint32(0)
+            if near != wp.uint32(0):
+                n = lowest_bit(near)
+                left = ~bits_below(n + 1)
+                block = group * BLOCK + n
+                mask = points_below(limit, corridor, levels, g, A, b + d * back, points, block)
+                while mask != wp.uint32(0):
+                    u = A * block_point(points, block, lowest_bit(mask)) + b
+                    mask = mask & (mask - wp.uint32(1))
+                    while d <= most and is_near(corridor, g, u + d * back, clearance):
+                        d += step
+        group += 1
     return -lane_min(-d)
 
 
@@ -59,6 +87,7 @@ def back_off(
     first: int,
     corridor: FieldStack,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
     level_step: float,
     blocks: int,
@@ -74,15 +103,13 @@ def back_off(
 ):
     """The way back of each candidate, from the least on: above the most if that is not enough."""
     i = first + wp.tid() / lanes()
-    lane = wp.tid() % lanes()
     back = approach / corridor.spacing
-    limit = level_of(clearance, level_step)
     p = position_in[i]
     q = rotation_in[i]
     least = least_in[i]
     most = most_in[i]
     retreat_out[i] = way_back(
-        corridor, points, levels, limit, blocks, back, clearance, step, preshape_in[i], p, q, least, most, lane
+        corridor, points, balls, levels, level_step, blocks, back, clearance, step, preshape_in[i], p, q, least, most
     )
 
 
@@ -91,6 +118,7 @@ def open_and_back_off(
     first: int,
     corridor: FieldStack,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
     level_step: float,
     blocks: int,
@@ -113,7 +141,6 @@ def open_and_back_off(
     i = first + wp.tid() / lanes()
     lane = wp.tid() % lanes()
     back = approach / corridor.spacing
-    limit = level_of(clearance, level_step)
     p = position_in[i]
     q = rotation_in[i]
     g = preshape_in[i]
@@ -124,7 +151,9 @@ def open_and_back_off(
         least = least_in[i, g]
         smallest = wp.min(smallest, least)
         enough = wp.min(needed, most)  # who needs more is no better
-        d = way_back(corridor, points, levels, limit, blocks, back, clearance, step, g, p, q, least, enough, lane)
+        d = way_back(
+            corridor, points, balls, levels, level_step, blocks, back, clearance, step, g, p, q, least, enough
+        )
         if d <= enough and d < needed:
             needed = d
             chosen = g
@@ -140,6 +169,7 @@ def least_distance(
     first: int,
     corridor: FieldStack,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
     level_step: float,
     blocks: int,
@@ -154,14 +184,18 @@ def least_distance(
     A = to_node_units(corridor, rotation_in[i])
     b = node_offset(corridor, g, A, position_in[i])
     smallest = float(1.0e30)
-    block = wp.tid() % lanes()
-    while block < blocks:
-        mask = points_below(level_of(smallest, level_step), corridor, levels, g, A, b, points, block)
-        while mask != wp.uint32(0):
-            x = block_point(points, block, lowest_bit(mask))
-            mask = mask & (mask - wp.uint32(1))
-            smallest = wp.min(smallest, interpolate_at(corridor, g, A * x + b))
-        block += lanes()
+    group = int(0)
+    while group * BLOCK < blocks:
+        near = blocks_near(smallest, FAR, corridor, levels, level_step, g, A, b, balls, group, blocks)
+        while near != wp.uint32(0):
+            block = group * BLOCK + lowest_bit(near)
+            near = near & (near - wp.uint32(1))
+            mask = points_below(level_of(smallest, level_step), corridor, levels, g, A, b, points, block)
+            while mask != wp.uint32(0):
+                x = block_point(points, block, lowest_bit(mask))
+                mask = mask & (mask - wp.uint32(1))
+                smallest = wp.min(smallest, interpolate_at(corridor, g, A * x + b))
+        group += 1
     clearance_out[i] = lane_min(smallest)
 
 
@@ -170,6 +204,7 @@ def clear_ways(
     first: int,
     corridor: FieldStack,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
     level_step: float,
     blocks: int,
@@ -204,16 +239,20 @@ def clear_ways(
         is_clear = wp.where(lowest + wp.dot(up, p) - table > clearance, 1.0, 0.0)
         A = to_node_units(corridor, q)
         b = node_offset(corridor, g, A, p)
-        block = wp.tid() % lanes()
-        while block < blocks and is_clear > 0.0:
-            mask = points_below(limit, corridor, levels, g, A, b, points, block)
-            while mask != wp.uint32(0):
-                x = block_point(points, block, lowest_bit(mask))
-                mask = mask & (mask - wp.uint32(1))
-                if interpolate_at(corridor, g, A * x + b) <= clearance:
-                    is_clear = 0.0
-                    mask = wp.uint32(0)
-            block += lanes()
+        group = int(0)
+        while group * BLOCK < blocks and is_clear > 0.0:
+            near = blocks_near(clearance, FAR, corridor, levels, level_step, g, A, b, balls, group, blocks)
+            while near != wp.uint32(0) and is_clear > 0.0:
+                block = group * BLOCK + lowest_bit(near)
+                near = near & (near - wp.uint32(1))
+                mask = points_below(limit, corridor, levels, g, A, b, points, block)
+                while mask != wp.uint32(0):
+                    x = block_point(points, block, lowest_bit(mask))
+                    mask = mask & (mask - wp.uint32(1))
+                    if interpolate_at(corridor, g, A * x + b) <= clearance:
+                        is_clear = 0.0
+                        mask = wp.uint32(0)
+            group += 1
         count += int(lane_min(is_clear))
         j += 1
     count_out[i] = count
@@ -242,8 +281,11 @@ def first_contact(
     fingers: int,
     arrival: FieldStack,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
     level_step: float,
+    swept: wp.array(dtype=wp.int32),
+    swept_step: float,
     first_block: int,
     end_block: int,
     preshape_in: wp.array(dtype=wp.int32),
@@ -251,7 +293,8 @@ def first_contact(
     rotation_in: wp.array(dtype=wp.quat),
     fraction_out: wp.array(dtype=wp.float32),
 ):
-    """For each finger the closing fraction at which it meets the first scene point; `NEVER` if there is none."""
+    """For each finger the closing fraction at which it meets the first scene point; `NEVER` if there is none. `swept` has
+    the levels of how far each node is from what the finger sweeps."""
     i = first + wp.tid() / lanes()
     A = to_node_units(arrival, rotation_in[i])
     g = preshape_in[i] * fingers
@@ -259,14 +302,19 @@ def first_contact(
     f = int(0)
     while f < fingers:
         earliest = float(NEVER)
-        block = first_block + wp.tid() % lanes()
-        while block < end_block:
-            limit = wp.min(level_of(earliest, level_step), 255)  # the last level is that of cells never swept
-            mask = points_below(limit, arrival, levels, g + f, A, b, points, block)
-            while mask != wp.uint32(0):
-                x = block_point(points, block, lowest_bit(mask))
-                mask = mask & (mask - wp.uint32(1))
-                earliest = wp.min(earliest, arrival_at(arrival, g + f, A * x + b))
-            block += lanes()
+        group = first_block / BLOCK
+        while group * BLOCK < end_block:
+            near = blocks_near(0.0, 0.0, arrival, swept, swept_step, g + f, A, b, balls, group, end_block)
+            near = near & ~bits_below(first_block - group * BLOCK)
+            while near != wp.uint32(0):
+                block = group * BLOCK + lowest_bit(near)
+                near = near & (near - wp.uint32(1))
+                limit = wp.min(level_of(earliest, level_step), 255)  # the last level is that of cells never swept
+                mask = points_below(limit, arrival, levels, g + f, A, b, points, block)
+                while mask != wp.uint32(0):
+                    x = block_point(points, block, lowest_bit(mask))
+                    mask = mask & (mask - wp.uint32(1))
+                    earliest = wp.min(earliest, arrival_at(arrival, g + f, A * x + b))
+            group += 1
         fraction_out[i * fingers + f] = lane_min(earliest)
         f += 1

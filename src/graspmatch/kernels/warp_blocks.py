@@ -8,6 +8,9 @@ Three things let the compiler vectorise the loop: a block has first all x, then 
 an integer; and it is written in C++, on plain pointers. Arrays of Warp have a stride that is known only when the kernel
 runs, so that loops over them gather one by one what lies side by side.
 
+Most blocks are far from the hand, too. Each lies in a ball, and 32 balls are looked up like the points of a block
+before any of their points are.
+
 On CUDA the 32 lanes of a warp share the blocks of one hand out among them; on a CPU one thread has them all. (Tiles
 would do the same, but on a CPU they share memory between threads.)
 
@@ -133,6 +136,79 @@ def cells_below(
 
 
 @wp.func
+def blocks_near(
+    limit: float,
+    beyond: float,
+    stack: FieldStack,
+    levels: wp.array(dtype=wp.int32),
+    level_step: float,
+    g: int,
+    A: wp.mat33,
+    b: wp.vec3,
+    balls: wp.array(dtype=wp.float32),
+    group: int,
+    blocks: int,
+) -> wp.uint32:
+    """The blocks of a group of 32 whose points can have a value below the limit and be no farther than `beyond` [m]
+    outside of the grid, a bit each; of a field that changes by no more than the way that one goes. On CUDA each lane
+    sees its own block only."""
+    cell = 1.8 * stack.spacing  # from a point to any corner of its cell
+    near = balls_below(
+        limit + cell, beyond, level_step, stack.spacing, stack.start[g], stack.dims[g], levels, A, b, balls, 128 * group
+    )
+    return near & bits_below(blocks - BLOCK * group)
+
+
+@wp.func_native("""
+    const float* x = balls.data + first;
+    const float* y = x + 32;
+    const float* z = y + 32;
+    const float* radius = z + 32;
+    const int* words = levels.data;
+    const float per_step = 1.0f / step, per_node = 1.0f / spacing;
+    const float last0 = dims[0] - 1, last1 = dims[1] - 1, last2 = dims[2] - 1;
+    unsigned int mask = 0;
+#if defined(__CUDA_ARCH__)
+    for (int n = threadIdx.x & 31, end = n + 1; n < end; ++n) {
+#else
+    for (int n = 0; n < 32; ++n) {
+#endif
+        float u0 = A.data[0][0] * x[n] + A.data[0][1] * y[n] + A.data[0][2] * z[n] + b[0];
+        float u1 = A.data[1][0] * x[n] + A.data[1][1] * y[n] + A.data[1][2] * z[n] + b[1];
+        float u2 = A.data[2][0] * x[n] + A.data[2][1] * y[n] + A.data[2][2] * z[n] + b[2];
+        float v0 = wp::min(wp::max(u0, 0.0f), last0);
+        float v1 = wp::min(wp::max(u1, 0.0f), last1);
+        float v2 = wp::min(wp::max(u2, 0.0f), last2);
+        float outside = (u0 - v0) * (u0 - v0) + (u1 - v1) * (u1 - v1) + (u2 - v2) * (u2 - v2);
+        float farthest = (radius[n] + beyond) * per_node;
+        int i = wp::min((int)v0, dims[0] - 2);
+        int j = wp::min((int)v1, dims[1] - 2);
+        int k = wp::min((int)v2, dims[2] - 2);
+        unsigned int at = start + (i * dims[1] + j) * dims[2] + k;
+        int level = (words[at >> 2] >> ((at & 3) << 3)) & 255;
+        int least = 2 + (int)wp::min(wp::max((limit + radius[n]) * per_step, 0.0f), 255.0f);
+        mask |= (((level < least) & (outside <= farthest * farthest)) ? 1u : 0u) << n;
+    }
+    return mask;
+""")
+def balls_below(
+    limit: float,
+    beyond: float,
+    step: float,
+    spacing: float,
+    start: int,
+    dims: wp.vec3i,
+    levels: wp.array(dtype=wp.int32),
+    A: wp.mat33,
+    b: wp.vec3,
+    balls: wp.array(dtype=wp.float32),
+    first: int,
+) -> wp.uint32:
+    """`blocks_near` for the 32 balls whose centres, then radii, begin with the number `first`."""
+    ...
+
+
+@wp.func
 def points_under(normal: wp.vec3, offset: float, points: wp.array(dtype=wp.float32), block: int) -> wp.uint32:
     """The points of a block with normal . x < offset, a bit each."""
     first = 3 * BLOCK * (block & MOST_BLOCKS)
@@ -160,5 +236,7 @@ def lowest_bit(mask: wp.uint32) -> int:
 
 @wp.func
 def bits_below(count: int) -> wp.uint32:
-    """The lowest `count` bits, or all."""
-    return wp.where(count >= BLOCK, ~wp.uint32(0), (wp.uint32(1) << wp.uint32(wp.min(count, 31))) - wp.uint32(1))
+    """The lowest `count` bits, all or none where there are no so many."""
+    return wp.where(
+        count >= BLOCK, ~wp.uint32(0), (wp.uint32(1) << wp.uint32(wp.clamp(count, 0, 31))) - wp.uint32(1)
+    )

@@ -178,7 +178,14 @@ def clear_ways(
 
 def corridor_inputs(space: Space, points: BlockCloud) -> list:
     """Hand, way in and points as the kernels take them."""
-    return [space.hand.corridor, points.points, space.hand.corridor_levels, DISTANCE_STEP, points.blocks]
+    return [
+        space.hand.corridor,
+        points.points,
+        points.balls,
+        space.hand.corridor_levels,
+        DISTANCE_STEP,
+        points.blocks,
+    ]
 
 
 def _way(space: Space, clearance: float) -> list:

@@ -16,7 +16,7 @@ from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.avoid import Space
 from graspmatch.planner.candidates import Closed, Free
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.upload import ARRIVAL_STEP, DeviceHand, pose_arrays
+from graspmatch.planner.upload import ARRIVAL_STEP, DISTANCE_STEP, DeviceHand, pose_arrays
 from graspmatch.types import Gripper, Plane
 
 
@@ -50,7 +50,8 @@ def meet_object(
 def contact_fractions(free: Free, space: Space) -> tuple[Float[np.ndarray, "n f"], Float[np.ndarray, "n f"]]:
     """Closing fractions at which each finger first meets the target, and an obstacle; 2 where it never does."""
     fingers, hand = len(space.gripper.fingers), space.hand
-    field = [fingers, hand.arrival, space.points.points, hand.arrival_levels, ARRIVAL_STEP]
+    field = [fingers, hand.arrival, space.points.points, space.points.balls, hand.arrival_levels, ARRIVAL_STEP]
+    field += [hand.swept_levels, DISTANCE_STEP]
     poses = pose_arrays(free, space.centre_of_mass, space.device)
     found = []
     for blocks in itertools.pairwise((0, *space.points.ends)):

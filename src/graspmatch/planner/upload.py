@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 import warp as wp
 from jaxtyping import Float, Int
+from scipy import ndimage
 
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import hull_corners
@@ -55,6 +56,8 @@ class DeviceHand:
     arrival: FieldStack
     """One grid for each finger of each preshape, gripper frame."""
     arrival_levels: wp.array
+    swept_levels: wp.array
+    """Of the distances from what each finger sweeps, on the same grids."""
 
 
 @lru_cache(maxsize=4)
@@ -80,6 +83,7 @@ def upload_gripper(gripper: Gripper, device: str) -> DeviceHand:
         corridor_levels=pack_levels(corridors, DISTANCE_STEP, device),
         arrival=stack_fields(arrivals, device),
         arrival_levels=pack_levels(arrivals, ARRIVAL_STEP, device),
+        swept_levels=pack_levels([swept_distance(arrival) for arrival in arrivals], DISTANCE_STEP, device),
     )
 
 
@@ -111,6 +115,11 @@ def swept_grids(preshape: Preshape) -> list[Grid]:
     box = tuple(slice(a, b) for a, b in zip(first, end, strict=True))
     origin = preshape.hand.origin + preshape.hand.spacing * first
     return [Grid(origin, preshape.hand.spacing, arrival[box]) for arrival in preshape.arrival]
+
+
+def swept_distance(arrival: Grid) -> Grid:
+    """How far each node is from those that the finger sweeps [m]."""
+    return replace(arrival, values=arrival.spacing * ndimage.distance_transform_edt(arrival.values >= NEVER))
 
 
 def swept_corners(preshapes: tuple[Preshape, ...]) -> Float[np.ndarray, "p f v 3"]:

@@ -27,7 +27,7 @@ from graspmatch.kernels.fields import (
 )
 from graspmatch.kernels.launch import launch, thread_count
 from graspmatch.kernels.warp_fields import NEVER
-from graspmatch.planner.upload import inverse_inertia
+from graspmatch.planner.upload import inverse_inertia, swept_distance
 
 
 def close(found, expected, rtol=1e-4, atol=1e-6):
@@ -241,10 +241,10 @@ class Corridor:
         """What the kernels take: fields, points in blocks and levels, and the poses."""
         blocks = upload_blocks([in_block_order(self.cloud)], self.device, scattered=True)
         levels = pack_levels(fields, step, self.device)
+        T = se3.from_parts(se3.matrix_from_quaternion(self.q), self.t)
         poses = [
             wp.zeros(len(self.t), dtype=wp.int32, device=self.device),
-            vec3(self.t, self.device),
-            wp.array(np.roll(self.q, -1, axis=-1), dtype=wp.quat, device=self.device),
+            wp.array(T, dtype=wp.mat44, device=self.device),
         ]
         return [stack_fields(fields, self.device), blocks.points, blocks.balls, levels, step], blocks.blocks, poses
 
@@ -267,7 +267,7 @@ def test_clear_ways_are_those_that_keep_their_distance_to_all_points_and_the_tab
     turn[:20] = [1.0, 0.0, 0.0, 0.0]
     corners = rng.normal(size=(1, 5, 3)) * 0.02
     out = wp.empty(len(toy.t), dtype=wp.int32, device=device)
-    moves = [vec3(shift, device), wp.array(np.roll(turn, -1, axis=-1), dtype=wp.quat, device=device)]
+    moves = [wp.array(se3.from_parts(se3.matrix_from_quaternion(turn), shift), dtype=wp.mat44, device=device)]
     hulls = wp.array(corners, dtype=wp.vec3, device=device)
     inputs = [*field, blocks, hulls, wp.vec3(0.0, 0.0, 1.0), -0.07, 0.002, *moves, *poses]
     launch(warp_avoid.clear_ways, len(toy.t), inputs, [out], device, lanes=warp_blocks.LANES)
@@ -343,7 +343,8 @@ def test_first_contact_is_the_earliest_of_all_points(rng, device):
     fields = [replace(toy.field, values=np.where(v < NEVER, np.clip(v, 0, 1), NEVER)) for v in sides]
     field, blocks, poses = toy.inputs(fields, 1 / 250)
     out = wp.empty(2 * len(toy.t), dtype=wp.float32, device=device)
-    inputs = [2, *field, 0, blocks, *poses]
+    swept_levels = pack_levels([swept_distance(grid) for grid in fields], 0.00025, device)
+    inputs = [2, *field, swept_levels, 0.00025, 0, blocks, *poses]
     launch(warp_avoid.first_contact, len(toy.t), inputs, [out], device, lanes=warp_blocks.LANES)
     for local, found in zip(toy.local, out.numpy().reshape(-1, 2), strict=True):
         for grid, fraction in zip(fields, found, strict=True):

@@ -2,7 +2,7 @@
 
 On CUDA a warp works on one candidate, each of its lanes on a share of the points; on a CPU one thread has them all.
 
-Legend: group 32 blocks, near those of them that matter, i candidate, g its preshape, q, p its pose, x a point of the scene, u = A x + b the same in node units, levels
+Legend: group 32 blocks, near those of them that matter, i candidate, g its preshape, T its pose, x a point of the scene, u = A x + b the same in node units, levels
 the bounds that `warp_blocks` looks it up in, d way back.
 """
 
@@ -20,7 +20,16 @@ from graspmatch.kernels.warp_blocks import (
     lowest_bit,
     points_below,
 )
-from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate_at, is_inside
+from graspmatch.kernels.warp_fields import (
+    NEVER,
+    FieldStack,
+    interpolate_at,
+    is_inside,
+    node_offset,
+    place_of,
+    to_node_units,
+    turn_of,
+)
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -41,8 +50,7 @@ def way_back(
     clearance: float,
     step: float,
     g: int,
-    p: wp.vec3,
-    q: wp.quat,
+    T: wp.mat44,
     least: float,
     most: float,
 ) -> float:
@@ -52,8 +60,8 @@ def way_back(
     stays clear of it, but for the stretch that backing off adds at its start. `least` is what is known to be needed,
     `back` the direction back in node units.
     """
-    A = to_node_units(corridor, q)
-    b = node_offset(corridor, g, A, p)
+    A = to_node_units(corridor, T)
+    b = node_offset(corridor, g, A, T)
     limit = level_of(clearance, level_step)
     d = least
     group = int(0)
@@ -95,8 +103,7 @@ def back_off(
     clearance: float,
     step: float,
     preshape_in: wp.array(dtype=wp.int32),
-    position_in: wp.array(dtype=wp.vec3),
-    rotation_in: wp.array(dtype=wp.quat),
+    pose_in: wp.array(dtype=wp.mat44),
     least_in: wp.array(dtype=wp.float32),
     most_in: wp.array(dtype=wp.float32),
     retreat_out: wp.array(dtype=wp.float32),
@@ -104,12 +111,10 @@ def back_off(
     """The way back of each candidate, from the least on: above the most if that is not enough."""
     i = first + wp.tid() / lanes()
     back = approach / corridor.spacing
-    p = position_in[i]
-    q = rotation_in[i]
     least = least_in[i]
     most = most_in[i]
     retreat_out[i] = way_back(
-        corridor, points, balls, levels, level_step, blocks, back, clearance, step, preshape_in[i], p, q, least, most
+        corridor, points, balls, levels, level_step, blocks, back, clearance, step, preshape_in[i], pose_in[i], least, most
     )
 
 
@@ -126,8 +131,7 @@ def open_and_back_off(
     clearance: float,
     step: float,
     preshape_in: wp.array(dtype=wp.int32),
-    position_in: wp.array(dtype=wp.vec3),
-    rotation_in: wp.array(dtype=wp.quat),
+    pose_in: wp.array(dtype=wp.mat44),
     wider: wp.array(dtype=wp.int32),
     least_in: wp.array2d(dtype=wp.float32),
     most: float,
@@ -141,8 +145,6 @@ def open_and_back_off(
     i = first + wp.tid() / lanes()
     lane = wp.tid() % lanes()
     back = approach / corridor.spacing
-    p = position_in[i]
-    q = rotation_in[i]
     g = preshape_in[i]
     chosen = g
     smallest = float(wp.inf)
@@ -152,7 +154,7 @@ def open_and_back_off(
         smallest = wp.min(smallest, least)
         enough = wp.min(needed, most)  # who needs more is no better
         d = way_back(
-            corridor, points, balls, levels, level_step, blocks, back, clearance, step, g, p, q, least, enough
+            corridor, points, balls, levels, level_step, blocks, back, clearance, step, g, pose_in[i], least, enough
         )
         if d <= enough and d < needed:
             needed = d
@@ -174,15 +176,14 @@ def least_distance(
     level_step: float,
     blocks: int,
     preshape_in: wp.array(dtype=wp.int32),
-    position_in: wp.array(dtype=wp.vec3),
-    rotation_in: wp.array(dtype=wp.quat),
+    pose_in: wp.array(dtype=wp.mat44),
     clearance_out: wp.array(dtype=wp.float32),
 ):
     """Smallest distance of the scene to the hand and its way in."""
     i = first + wp.tid() / lanes()
     g = preshape_in[i]
-    A = to_node_units(corridor, rotation_in[i])
-    b = node_offset(corridor, g, A, position_in[i])
+    A = to_node_units(corridor, pose_in[i])
+    b = node_offset(corridor, g, A, pose_in[i])
     smallest = float(1.0e30)
     group = int(0)
     while group * BLOCK < blocks:
@@ -212,14 +213,12 @@ def clear_ways(
     up: wp.vec3,
     table: float,
     clearance: float,
-    shift_in: wp.array(dtype=wp.vec3),
-    turn_in: wp.array(dtype=wp.quat),
+    error_in: wp.array(dtype=wp.mat44),
     preshape_in: wp.array(dtype=wp.int32),
-    position_in: wp.array(dtype=wp.vec3),
-    rotation_in: wp.array(dtype=wp.quat),
+    pose_in: wp.array(dtype=wp.mat44),
     count_out: wp.array(dtype=wp.int32),
 ):
-    """Of some displacements of the hand (`shift_in`, `turn_in`, in its own frame) how many leave more than a clearance
+    """Of some displacements of the hand (`error_in`, in its own frame) how many leave more than a clearance
     to the scene along the way in, and to the table at its end.
 
     `corners` are those of the hull of each preshape's open hand, `table` its height along `up`.
@@ -229,16 +228,15 @@ def clear_ways(
     limit = level_of(clearance, level_step)
     count = int(0)
     j = int(0)
-    while j < shift_in.shape[0]:
-        p = position_in[i] + wp.quat_rotate(rotation_in[i], shift_in[j])
-        q = rotation_in[i] * turn_in[j]
-        up_hand = wp.quat_rotate_inv(q, up)
+    while j < error_in.shape[0]:
+        T = pose_in[i] * error_in[j]
+        up_hand = wp.transpose(turn_of(T)) * up
         lowest = float(1.0e30)
         for v in range(corners.shape[1]):
             lowest = wp.min(lowest, wp.dot(up_hand, corners[g, v]))
-        is_clear = wp.where(lowest + wp.dot(up, p) - table > clearance, 1.0, 0.0)
-        A = to_node_units(corridor, q)
-        b = node_offset(corridor, g, A, p)
+        is_clear = wp.where(lowest + wp.dot(up, place_of(T)) - table > clearance, 1.0, 0.0)
+        A = to_node_units(corridor, T)
+        b = node_offset(corridor, g, A, T)
         group = int(0)
         while group * BLOCK < blocks and is_clear > 0.0:
             near = blocks_near(clearance, FAR, corridor, levels, level_step, g, A, b, balls, group, blocks)
@@ -256,18 +254,6 @@ def clear_ways(
         count += int(lane_min(is_clear))
         j += 1
     count_out[i] = count
-
-
-@wp.func
-def to_node_units(stack: FieldStack, q: wp.quat) -> wp.mat33:
-    """A of u = A x + b."""
-    return wp.transpose(wp.quat_to_matrix(q)) / stack.spacing
-
-
-@wp.func
-def node_offset(stack: FieldStack, g: int, A: wp.mat33, p: wp.vec3) -> wp.vec3:
-    """b of u = A x + b."""
-    return -(A * p) - stack.origin[g] / stack.spacing
 
 
 @wp.func
@@ -289,16 +275,15 @@ def first_contact(
     first_block: int,
     end_block: int,
     preshape_in: wp.array(dtype=wp.int32),
-    position_in: wp.array(dtype=wp.vec3),
-    rotation_in: wp.array(dtype=wp.quat),
+    pose_in: wp.array(dtype=wp.mat44),
     fraction_out: wp.array(dtype=wp.float32),
 ):
     """For each finger the closing fraction at which it meets the first scene point; `NEVER` if there is none. `swept` has
     the levels of how far each node is from what the finger sweeps."""
     i = first + wp.tid() / lanes()
-    A = to_node_units(arrival, rotation_in[i])
+    A = to_node_units(arrival, pose_in[i])
     g = preshape_in[i] * fingers
-    b = node_offset(arrival, g, A, position_in[i])  # the grids of a preshape's fingers lie alike
+    b = node_offset(arrival, g, A, pose_in[i])  # the grids of a preshape's fingers lie alike
     f = int(0)
     while f < fingers:
         earliest = float(NEVER)

@@ -44,6 +44,28 @@ def node_units(stack: FieldStack, g: int, x: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def turn_of(T: wp.mat44) -> wp.mat33:
+    return wp.mat33(T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2])
+
+
+@wp.func
+def place_of(T: wp.mat44) -> wp.vec3:
+    return wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+
+
+@wp.func
+def to_node_units(stack: FieldStack, T: wp.mat44) -> wp.mat33:
+    """A of u = A x + b, which is x in the frame T, in node units of a grid g."""
+    return wp.transpose(turn_of(T)) / stack.spacing
+
+
+@wp.func
+def node_offset(stack: FieldStack, g: int, A: wp.mat33, T: wp.mat44) -> wp.vec3:
+    """b of that."""
+    return -(A * place_of(T)) - stack.origin[g] / stack.spacing
+
+
+@wp.func
 def is_inside(u: wp.vec3, dims: wp.vec3i) -> bool:
     return (
         u[0] >= 0.0

@@ -10,7 +10,7 @@ the object's centre of mass in the gripper frame; w wrench.
 import warp as wp
 
 from graspmatch.kernels.warp_contacts import Body, Hand, Reached, gather, touch_finger, touch_palm, touch_table
-from graspmatch.kernels.warp_fields import NEVER
+from graspmatch.kernels.warp_fields import NEVER, place_of, turn_of
 from graspmatch.kernels.warp_wrench import Contacts, Pressure, lay_out, least_wrench, margin_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -91,8 +91,7 @@ def hold(
     course: Course,
     directions: wp.array(dtype=wp.spatial_vector),
     preshape_in: wp.array(dtype=wp.int32),
-    position_in: wp.array(dtype=wp.vec3),
-    rotation_in: wp.array(dtype=wp.quat),
+    pose_in: wp.array(dtype=wp.mat44),
     reached: Reached,
     contacts: Contacts,
     fraction: wp.array2d(dtype=wp.float32),
@@ -107,11 +106,12 @@ def hold(
     i = first + wp.tid()
     p = preshape_in[i]
     fingers = fraction.shape[1]
-    q = wp.quat_inverse(rotation_in[i])
-    c = -wp.quat_rotate(q, position_in[i])
-    up = -wp.quat_rotate(q, body.down)
-    floor = body.table + wp.dot(body.down, position_in[i])
-    blocks = gather(i, p, wp.quat_to_matrix(q), c, body, hand, reached)
+    R = wp.transpose(turn_of(pose_in[i]))
+    q = wp.normalize(wp.quat_from_matrix(R))
+    c = -(R * place_of(pose_in[i]))
+    up = -(R * body.down)
+    floor = body.table + wp.dot(body.down, place_of(pose_in[i]))
+    blocks = gather(i, p, R, c, body, hand, reached)
     weight = wp.spatial_vector(-course.weight * up, wp.vec3(0.0, 0.0, 0.0))
     load = wp.where(body.table > -1.0e3, weight, wp.spatial_vector())  # what lies on nothing floats until it is held
     for k in range(FIGURES):

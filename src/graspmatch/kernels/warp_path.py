@@ -2,16 +2,15 @@
 
 On CUDA a warp works on one candidate, each of its lanes on a share of the points; on a CPU one thread has them all.
 
-Legend: i candidate, g its preshape, q, p its pose, x a point of the scene, u = A x + b the same in node units, v the
+Legend: i candidate, g its preshape, x a point of the scene, u = A x + b the same in node units, v the
 way of that point as the hand sees it, in node units, s how far along it from 0 to 1, lower and upper where that line
 enters and leaves the hand's grid.
 """
 
 import warp as wp
 
-from graspmatch.kernels.warp_avoid import node_offset, to_node_units
 from graspmatch.kernels.warp_blocks import BLOCK, block_point, lane_min, lanes
-from graspmatch.kernels.warp_fields import FieldStack, interpolate_at
+from graspmatch.kernels.warp_fields import FieldStack, interpolate_at, node_offset, to_node_units
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -26,16 +25,15 @@ def way_clearance(
     enough: float,
     way_in: wp.array(dtype=wp.vec3),
     preshape_in: wp.array(dtype=wp.int32),
-    position_in: wp.array(dtype=wp.vec3),
-    rotation_in: wp.array(dtype=wp.quat),
+    pose_in: wp.array(dtype=wp.mat44),
     clearance_out: wp.array(dtype=wp.float32),
 ):
     """Smallest distance of some blocks of points to the hand anywhere on its way; where no point comes nearer than
     `enough`, that."""
     i = first + wp.tid() / lanes()
     g = preshape_in[i]
-    A = to_node_units(hand, rotation_in[i])
-    b = node_offset(hand, g, A, position_in[i])
+    A = to_node_units(hand, pose_in[i])
+    b = node_offset(hand, g, A, pose_in[i])
     v = -(A * way_in[i])
     smallest = enough
     block = first_block + wp.tid() % lanes()

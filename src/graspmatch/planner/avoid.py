@@ -15,7 +15,7 @@ from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.planner.candidates import Candidates, Free, Matched
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.upload import DISTANCE_STEP, DeviceHand, motion_arrays, pose_arrays, upload_gripper
+from graspmatch.planner.upload import DISTANCE_STEP, DeviceHand, pose_arrays, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Plane
 
@@ -170,7 +170,8 @@ def clear_ways(
     if space.table is not None:
         up, table = space.table.normal, float(space.table.offset - space.table.normal @ space.centre_of_mass)
     inputs = [*corridor_inputs(space, space.suspected), space.hand.hulls, wp.vec3(*up), table, clearance]
-    inputs += [*motion_arrays(errors, space.device), *pose_arrays(candidates, space.centre_of_mass, space.device)]
+    inputs += [wp.array(errors, dtype=wp.mat44, device=space.device)]
+    inputs += pose_arrays(candidates, space.centre_of_mass, space.device)
     count = wp.empty(len(candidates), dtype=wp.int32, device=space.device)
     launch(warp_avoid.clear_ways, len(candidates), inputs, [count], space.device, lanes=LANES, chunks=4)
     return count.numpy().astype(int)

@@ -24,7 +24,7 @@ from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_fields import NearestField
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.recording import Recording
-from graspmatch.planner.upload import DeviceHand, pose_arrays, upload_gripper
+from graspmatch.planner.upload import DeviceHand, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper
 
@@ -282,9 +282,13 @@ def terms_of(config: MatchingConfig) -> warp_match.Terms:
 def upload_particles(starts: Candidates, problem: Problem) -> warp_match.Particles:
     """The pivots' poses in the object frame, and room for what the kernels find."""
     n, device = len(starts), problem.device
-    poses = pose_arrays(starts, problem.centre_of_mass, device, problem.hand.pivots)
+    turn = starts.T_world_gripper[:, :3, :3]
+    pivot = np.einsum("nij,nj->ni", turn, problem.hand.pivots[starts.preshape])
+    place = starts.T_world_gripper[:, :3, 3] - problem.centre_of_mass + pivot
     particles = warp_match.Particles()
-    particles.preshape, particles.position, particles.rotation = poses
+    particles.preshape = wp.array(starts.preshape, dtype=wp.int32, device=device)
+    particles.position = wp.array(place, dtype=wp.vec3, device=device)
+    particles.rotation = wp.array(np.roll(se3.quaternion_from_matrix(turn), -1, axis=-1), dtype=wp.quat, device=device)
     particles.seed_position = wp.clone(particles.position)
     particles.seed_rotation = wp.clone(particles.rotation)
     particles.gradient_position = wp.zeros(n, dtype=wp.vec3, device=device)

@@ -10,7 +10,6 @@ import warp as wp
 from jaxtyping import Float, Int
 from scipy import ndimage
 
-from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import hull_corners
 from graspmatch.geometry.grid import Grid
 from graspmatch.kernels import warp_match
@@ -161,16 +160,11 @@ def pose_arrays(
     device: str,
     pivots: Float[np.ndarray, "p 3"] | None = None,
 ) -> list[wp.array]:
-    """Preshape, position and rotation of each candidate as the kernels take them, object frame: the positions of the
-    gripper frame, or of the pivots of the preshapes."""
+    """Preshape and pose of each candidate as the kernels take them, object frame: the pose of the gripper frame, or of
+    that at the pivot of its preshape."""
     T_object_hand = candidates.T_world_gripper.copy()
     T_object_hand[:, :3, 3] -= centre_of_mass
     if pivots is not None:
         T_object_hand[:, :3, 3] += np.einsum("nij,nj->ni", T_object_hand[:, :3, :3], pivots[candidates.preshape])
-    return [wp.array(candidates.preshape, dtype=wp.int32, device=device), *motion_arrays(T_object_hand, device)]
-
-
-def motion_arrays(T: Float[np.ndarray, "n 4 4"], device: str) -> list[wp.array]:
-    """Translation and rotation of each motion as the kernels take them."""
-    xyzw = np.roll(se3.quaternion_from_matrix(T[:, :3, :3]), -1, axis=-1)
-    return [wp.array(T[:, :3, 3], dtype=wp.vec3, device=device), wp.array(xyzw, dtype=wp.quat, device=device)]
+    poses = wp.array(T_object_hand, dtype=wp.mat44, device=device)
+    return [wp.array(candidates.preshape, dtype=wp.int32, device=device), poses]

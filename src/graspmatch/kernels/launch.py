@@ -116,7 +116,8 @@ def launch(
     jobs = [_pool(threads).submit(_run_all, command, waiting) for command in others]
     _run_all(first, waiting)
     for job in jobs:
-        job.result()
+        if not job.cancel():  # a thread that has not woken by now finds nothing left
+            job.result()
 
 
 def _copy_of(command: wp.Launch) -> wp.Launch:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import warp as wp
@@ -99,6 +100,7 @@ def upload_space(scene: Scene, gripper: Gripper, device: str) -> Space:
     )
 
 
+@lru_cache(maxsize=4)
 def wider_preshapes(gripper: Gripper) -> Int[np.ndarray, "p"]:
     """For each preshape the next wider one that differs in closing only; -1 where there is none. Fingertips may open to
     any, the others to none of the fingertips'."""

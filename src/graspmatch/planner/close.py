@@ -72,6 +72,8 @@ def table_fractions(free: Free, table: Plane, gripper: Gripper, hand: DeviceHand
     for index, preshape in enumerate(gripper.preshapes):
         for f, outline in enumerate(preshape.finger_outlines):
             chosen = np.flatnonzero((free.preshape == index) & (lowest[:, f] + height < 0))
+            if not len(chosen):
+                continue
             heights = (direction[chosen] @ outline.reshape(-1, 3).T).reshape(len(chosen), *outline.shape[:2])
             fractions[chosen, f] = first_crossing(heights.min(axis=-1, initial=np.inf) + height[chosen, None])
     return fractions

@@ -44,6 +44,25 @@ DESCENTS = 12
 """Steps of the search for the weakest direction."""
 
 
+class Room:
+    """Scratch and results of `hold` on the device, for as many grasps as came at once so far."""
+
+    def __init__(self) -> None:
+        self.size = (0, 0, 0)
+
+    def make(self, n: int, fingers: int, points: int, device: str) -> None:
+        """Room for n grasps that reach so many points, unless there is."""
+        if self.size[0] >= n and self.size[1:] == (fingers, points):
+            return
+        self.size = (n, fingers, points)
+        self.contacts = room_for_contacts(n, fingers, device)
+        self.reached = _room_for_points(n, fingers, points, device)
+        self.fraction = wp.empty((n, fingers), dtype=wp.float32, device=device)
+        self.state = wp.empty(n, dtype=wp.int32, device=device)
+        self.margin = wp.empty(n, dtype=wp.float32, device=device)
+        self.figures = wp.empty((n, warp_hold.FIGURES), dtype=wp.float32, device=device)
+
+
 @dataclass(frozen=True)
 class Touchable:
     """The object as closing fingers meet it, on the device, and what it weighs on."""
@@ -52,6 +71,8 @@ class Touchable:
     centre_of_mass: Float[Array, "3"]
     length: float
     """Root mean square distance of its surface from the centre of mass [m]: torques are measured by it."""
+    room: Room
+    """Where closing hands leave what they find: making it takes as long as closing some of them."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +129,7 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
     if scene.table is not None:
         body.table = float(scene.table.offset - scene.table.normal @ scene.centre_of_mass)
     length = max(float(np.sqrt(np.mean(np.sum(points[index] ** 2, axis=-1)))), 1e-3)
-    return Touchable(body, scene.centre_of_mass, length)
+    return Touchable(body, scene.centre_of_mass, length, Room())
 
 
 def beside_edge(points: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> Bool[Array, "n"]:
@@ -130,34 +151,31 @@ def hold(
 ) -> Held:
     """Close the fingers of all candidates, each with its own friction, and lift. An object that stays upright is only
     pushed, not turned, and what holds it is asked before it is lifted."""
-    n, f = len(candidates), len(gripper.fingers)
-    room = min(config.reachable_points, len(target.body.points))
-    contacts, reached = room_for_contacts(n, f, device), _room_for_points(n, f, room, device)
-    fraction = wp.empty((n, f), dtype=wp.float32, device=device)
-    state = wp.empty(n, dtype=wp.int32, device=device)
-    margin = wp.empty(n, dtype=wp.float32, device=device)
-    figures = wp.empty((n, warp_hold.FIGURES), dtype=wp.float32, device=device)
+    n, room = len(candidates), target.room
+    room.make(n, len(gripper.fingers), min(config.reachable_points, len(target.body.points)), device)
+    contacts = room.contacts
     inputs = [
         target.body,
         _touching_hand(gripper, device),
         pressure_of(gripper, friction, target.length, config, device),
         _course(gripper, config, upright=upright),
-        wp.array(DIRECTIONS, dtype=wp.spatial_vector, device=device),
+        _directions(device),
         *pose_arrays(candidates, target.centre_of_mass, device),
     ]
-    outputs = [reached, contacts, fraction, state, margin, figures]
+    outputs = [room.reached, contacts, room.fraction, room.state, room.margin, room.figures]
     launch(warp_hold.hold, n, inputs, outputs, device, chunks=CHUNKS)
+    figures = room.figures.numpy()[:n].astype(float)
     return Held(
-        held=state.numpy() == warp_hold.HELD,
-        margin=margin.numpy().astype(float),
-        fraction=fraction.numpy().astype(float),
-        count=contacts.count.numpy().astype(int),
-        point=contacts.point.numpy().astype(float),
-        push=contacts.push.numpy().astype(float),
-        pushed=figures.numpy()[:, 0].astype(float),
-        turned=figures.numpy()[:, 1].astype(float),
-        slipped=figures.numpy()[:, 2].astype(float),
-        beyond=figures.numpy()[:, warp_hold.BEYOND].astype(float),
+        held=room.state.numpy()[:n] == warp_hold.HELD,
+        margin=room.margin.numpy()[:n].astype(float),
+        fraction=room.fraction.numpy()[:n].astype(float),
+        count=contacts.count.numpy()[:n].astype(int),
+        point=contacts.point.numpy()[:n].astype(float),
+        push=contacts.push.numpy()[:n].astype(float),
+        pushed=figures[:, 0],
+        turned=figures[:, 1],
+        slipped=figures[:, 2],
+        beyond=figures[:, warp_hold.BEYOND],
     )
 
 
@@ -165,17 +183,28 @@ def pressure_of(
     gripper: Gripper, friction: Float[Array, "n"], length: float, config: GripConfig, device: str
 ) -> warp_wrench.Pressure:
     """How the hand presses: drives of one finger as hard as all others against it, a drive of several as one."""
-    drive = drives(gripper)
-    share = np.array([drive.count(first) for first in drive])
     pressure = warp_wrench.Pressure()
-    pressure.drive = wp.array(drive, dtype=wp.int32, device=device)
-    pressure.share = wp.array(share, dtype=wp.float32, device=device)
+    pressure.drive, pressure.share = _drive_arrays(gripper, device)
     pressure.most = most_force(gripper)
     pressure.friction = wp.array(friction, dtype=wp.float32, device=device)
     pressure.torsion, pressure.length = config.torsional_friction, length
     return pressure
 
 
+@lru_cache(maxsize=4)
+def _drive_arrays(gripper: Gripper, device: str) -> tuple[wp.array, wp.array]:
+    """For each finger the first one of its drive, and how many fingers that closes."""
+    drive = drives(gripper)
+    share = [drive.count(first) for first in drive]
+    return wp.array(drive, dtype=wp.int32, device=device), wp.array(share, dtype=wp.float32, device=device)
+
+
+@lru_cache(maxsize=4)
+def _directions(device: str) -> wp.array:
+    return wp.array(DIRECTIONS, dtype=wp.spatial_vector, device=device)
+
+
+@lru_cache(maxsize=4)
 def most_force(gripper: Gripper) -> float:
     """How much harder than rated a finger can press: with a drive of its own, as hard as all others against it."""
     own = len(set(drives(gripper))) == len(gripper.fingers)

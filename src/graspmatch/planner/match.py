@@ -106,9 +106,10 @@ def match(
         recording.start()
     show()
     stein_iterations = min(stein_phase(config), config.iterations)
+    groups = groups_of(starts, particles, problem)
     for k in range(1, stein_iterations + 1):
         gradients(problem, particles, *draw(k, problem, config, rng), with_prior=True)  # eqs. (16)-(18)
-        stein_step(problem, particles, starts, annealing(k, config))  # eqs. (7), (8)
+        stein_step(problem, particles, groups, annealing(k, config))  # eqs. (7), (8)
         show()
     rest = range(stein_iterations + 1, config.iterations + 1)
     descend(problem, particles, rest, config, rng, show if recording else None)  # eq. (3)
@@ -235,14 +236,31 @@ def slope_inputs(problem: Problem, target: NearestField, batch: Batch) -> list:
     return [hand.matching, problem.samples, *goals, *scene, problem.terms, offset, size]
 
 
-def stein_step(problem: Problem, particles: warp_match.Particles, starts: Candidates, gamma: float) -> None:
-    """One SVGD update of all particles, each with the others of its preshape."""
+@dataclass
+class Groups:
+    """Particles by preshape, which see each other in the Stein phase: where those of each begin and how many they are,
+    and room for where all of them go."""
+
+    begin: wp.array
+    count: wp.array
+    position: wp.array
+    rotation: wp.array
+
+
+def groups_of(starts: Candidates, particles: warp_match.Particles, problem: Problem) -> Groups:
+    """Of particles in the order of their preshapes."""
     preshapes = np.arange(len(problem.hand.samples))
     begin, end = (np.searchsorted(starts.preshape, preshapes, side) for side in ("left", "right"))
-    group = [wp.array(part, dtype=wp.int32, device=problem.device) for part in (begin, end - begin)]
-    moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
-    inputs = [gamma, problem.terms, problem.hand.matching, *group, particles]
-    launch(warp_steps.stein, len(starts), inputs, moved, problem.device)
+    spans = [wp.array(part, dtype=wp.int32, device=problem.device) for part in (begin, end - begin)]
+    return Groups(*spans, wp.empty_like(particles.position), wp.empty_like(particles.rotation))
+
+
+def stein_step(problem: Problem, particles: warp_match.Particles, groups: Groups, gamma: float) -> None:
+    """One SVGD update of all particles, each with the others of its preshape."""
+    inputs = [gamma, problem.terms, problem.hand.matching, groups.begin, groups.count, particles]
+    moved = [groups.position, groups.rotation]
+    launch(warp_steps.stein, particles.position.shape[0], inputs, moved, problem.device)
+    groups.position, groups.rotation = particles.position, particles.rotation
     particles.position, particles.rotation = moved
 
 

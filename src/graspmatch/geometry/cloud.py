@@ -43,6 +43,26 @@ def voxel_downsample(
     """
     if len(points) == 0:
         return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    count, inverse = _voxels(points, spacing, origin, labels)
+    return voxel_means(points, inverse, count), inverse
+
+
+def first_of_voxels(
+    points: Float[Array, "n 3"], spacing: float, *, labels: Int[Array, "n"] | None = None
+) -> Int[Array, "m"]:
+    """Index of the first point of each voxel of `voxel_downsample`."""
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.int64)
+    count, inverse = _voxels(points, spacing, None, labels)
+    first = np.empty(count, dtype=np.int64)
+    first[inverse[::-1]] = np.arange(len(points))[::-1]  # of those of one voxel the last that is written stays
+    return first
+
+
+def _voxels(
+    points: Float[Array, "n 3"], spacing: float, origin: Float[Array, "3"] | None, labels: Int[Array, "n"] | None
+) -> tuple[int, Int[Array, "n"]]:
+    """How many voxels there are, and for each point the row of its voxel."""
     key = np.zeros(len(points), dtype=np.int64)
     for axis, column in enumerate(np.ascontiguousarray(points.T, dtype=np.float64)):
         start = column.min() - GRID_SHIFT * spacing if origin is None else origin[axis]
@@ -52,8 +72,7 @@ def voxel_downsample(
         key += index
     if labels is not None:
         key = key * (labels.max() + 1) + labels
-    count, inverse = _ranks(key)
-    return voxel_means(points, inverse, count), inverse
+    return _ranks(key)
 
 
 def _ranks(keys: Int[Array, "n"]) -> tuple[int, Int[Array, "n"]]:
@@ -72,6 +91,13 @@ def voxel_means(values: Shaped[Array, "n c"], inverse: Int[Array, "n"], count: i
     """Mean of the values in each of `count` voxels, by the inverse that `voxel_downsample` returns."""
     sums = [np.bincount(inverse, weights=column, minlength=count) for column in values.T]
     return np.stack(sums, axis=-1) / np.bincount(inverse, minlength=count)[:, None]
+
+
+def farthest_along(directions: Float[Array, "k 3"], points: Float[Array, "n 3"]) -> Int[Array, "m"]:
+    """The points that go farthest along some directions, each once. A few directions at a time stay in a core's cache."""
+    columns = np.ascontiguousarray(points.T, dtype=np.float32)
+    few = np.array_split(directions.astype(np.float32), -(-len(directions) // 8))
+    return np.unique(np.concatenate([np.argmax(some @ columns, axis=1) for some in few]))
 
 
 def normal_sector(normals: Float[Array, "n 3"]) -> Int[Array, "n"]:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from graspmatch.config import GripConfig
-from graspmatch.geometry.cloud import nearest, normal_sector, voxel_downsample
+from graspmatch.geometry.cloud import farthest_along, first_of_voxels, nearest, normal_sector
 from graspmatch.kernels import warp_contacts, warp_hold, warp_wrench
 from graspmatch.kernels.fields import in_blocks, pack_bytes
 from graspmatch.kernels.launch import launch
@@ -111,12 +111,12 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
     points, normals = scene.target.points - scene.centre_of_mass, scene.target.normals
     assert normals is not None  # every scene estimates them
     spacing, sectors = FINEST, normal_sector(normals)
-    index = _spread(points, spacing, sectors)
+    index = first_of_voxels(points, spacing, labels=sectors)
     if len(index) > most:
-        index = _spread(points, spacing * np.sqrt(len(index) / most), sectors)
+        index = first_of_voxels(points, spacing * np.sqrt(len(index) / most), labels=sectors)
     index = np.random.default_rng(0).permutation(index)  # any of the first are spread evenly too
     down = -scene.table.normal if scene.table is not None else np.array([0.0, 0.0, -1.0])
-    corners = points[np.unique(np.argmax(OUTWARD @ points.T, axis=1))]
+    corners = points[farthest_along(OUTWARD, points)]
     body = warp_contacts.Body()
     body.points = wp.array(points[index], dtype=wp.vec3, device=device)
     body.blocks = wp.array(in_blocks(points[index]).ravel(), dtype=wp.float32, device=device)
@@ -271,12 +271,6 @@ def _room_for_points(n: int, fingers: int, room: int, device: str) -> warp_conta
     reached.excess = wp.empty((n, fingers + 1, room), dtype=wp.float32, device=device)
     reached.slowness = wp.empty((n, fingers, 3, room), dtype=wp.float32, device=device)
     return reached
-
-
-def _spread(points: Float[Array, "n 3"], spacing: float, sectors: Int[Array, "n"]) -> Int[Array, "m"]:
-    """One point of each voxel and side."""
-    _, inverse = voxel_downsample(points, spacing, labels=sectors)
-    return np.unique(inverse, return_index=True)[1]
 
 
 def _unit_vectors(count: int, dimensions: int) -> Float[Array, "k d"]:

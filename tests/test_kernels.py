@@ -392,6 +392,7 @@ class Toy:
         self.inverse = [inverse_inertia(s, w) for s, w in zip(self.samples, self.weights, strict=True)]
         hand.inverse_inertia = wp.array(np.array(self.inverse), dtype=wp.mat33, device=self.device)
         hand.distance = stack_fields([self.distance, self.distance], self.device)
+        hand.distance_step = 0.00025
         hand.nearest_sample = wp.array(np.concatenate(self.nearest), dtype=wp.int32, device=self.device)
         corners = np.array(list(np.ndindex(2, 2, 2))) * 2 * self.half - self.half
         self.outline = floats(np.concatenate([in_blocks(corners)] * 2).ravel(), self.device)
@@ -445,7 +446,7 @@ class Toy:
         cloud, hand = upload_blocks([in_block_order(scene)], self.device), self.hand()
         levels = pack_levels([self.distance] * 2, 0.00025, self.device)
         goals = [field, field.index, field.coordinates]
-        around = [self.surroundings(cloud, **kwargs), cloud.points, self.outline, levels]
+        around = [self.surroundings(cloud, **kwargs), cloud.points, cloud.balls, self.outline, levels]
         return [hand, samples, *goals, *around, terms, *batch]
 
     def gradients(self, scene, terms, particles, *, want_loss=False, with_prior=False, **kwargs):

@@ -21,6 +21,7 @@ from graspmatch.kernels.warp_blocks import (
     BLOCK,
     bits_below,
     block_point,
+    blocks_near,
     lane_sum,
     lane_sum_of,
     lanes,
@@ -49,6 +50,8 @@ class Hand:
     tool_centre_point: wp.array(dtype=wp.vec3)
     inverse_inertia: wp.array(dtype=wp.mat33)
     distance: FieldStack
+    distance_step: wp.float32
+    """Between its levels [m]."""
     nearest_sample: wp.array(dtype=wp.int32)
     outline_start: wp.array(dtype=wp.int32)
     """First block of its corners."""
@@ -206,6 +209,7 @@ def collision_pass(
     hand: Hand,
     scene: Surroundings,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     outline: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
     g: int,
@@ -222,25 +226,29 @@ def collision_pass(
     field = hand.distance
     A = wp.transpose(R) / field.spacing
     b = -(A * p) - field.origin[g] / field.spacing
-    block = lane
-    while block < scene.blocks:
-        mask = points_below(1, field, levels, g, A, b, points, block)
-        while mask != wp.uint32(0):
-            x = block_point(points, block, lowest_bit(mask))
-            mask = mask & (mask - wp.uint32(1))
-            u = A * x + b
-            depth = -interpolate_at(field, g, u)
-            if depth > 0.0:
-                lever = x - p
-                if block < scene.target_blocks:
-                    lever = R * nearest_sample(hand, g, u)
-                else:
-                    lever += depth * (R * outwards(field, g, u))
-                residual = p + lever - x
-                gt += residual
-                gw += wp.cross(lever, residual)
-                colliding += 1
-        block += lanes()
+    group = int(0)
+    while group * BLOCK < scene.blocks:
+        near = blocks_near(0.0, 0.0, field, levels, hand.distance_step, g, A, b, balls, group, scene.blocks)
+        while near != wp.uint32(0):
+            block = group * BLOCK + lowest_bit(near)
+            near = near & (near - wp.uint32(1))
+            mask = points_below(1, field, levels, g, A, b, points, block)
+            while mask != wp.uint32(0):
+                x = block_point(points, block, lowest_bit(mask))
+                mask = mask & (mask - wp.uint32(1))
+                u = A * x + b
+                depth = -interpolate_at(field, g, u)
+                if depth > 0.0:
+                    lever = x - p
+                    if block < scene.target_blocks:
+                        lever = R * nearest_sample(hand, g, u)
+                    else:
+                        lever += depth * (R * outwards(field, g, u))
+                    residual = p + lever - x
+                    gt += residual
+                    gw += wp.cross(lever, residual)
+                    colliding += 1
+        group += 1
     if scene.has_table != 0:
         up = wp.transpose(R) * scene.normal
         level = scene.offset - wp.dot(scene.normal, p)  # of the table above the pivot
@@ -294,6 +302,7 @@ def slope_at(
     goals: wp.array(dtype=wp.float32),
     scene: Surroundings,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     outline: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
     terms: Terms,
@@ -308,7 +317,7 @@ def slope_at(
     say, and is left out unless its loss is wanted."""
     found = Slope()
     R = wp.quat_to_matrix(q)
-    gt, gw, colliding = collision_pass(hand, scene, points, outline, levels, g, p, R, lane)
+    gt, gw, colliding = collision_pass(hand, scene, points, balls, outline, levels, g, p, R, lane)
     found.loss = NONE
     if colliding == 0 or want_loss != 0:
         mt, mw, error = matching_pass(hand, samples, target, nearest, goals, g, p, R, batch, lane)

@@ -44,6 +44,7 @@ def gradients(
     goals: wp.array(dtype=wp.float32),
     scene: Surroundings,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     outline: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
     terms: Terms,
@@ -61,7 +62,7 @@ def gradients(
     q = particles.rotation[i]
     batch = wp.vec2i(batch_offset[g], batch_size[g])
     found = slope_at(
-        hand, samples, target, nearest, goals, scene, points, outline, levels, terms, g, p, q, batch, want_loss, lane
+        hand, samples, target, nearest, goals, scene, points, balls, outline, levels, terms, g, p, q, batch, want_loss, lane
     )
     by_position = found.by_position
     by_rotation = found.by_rotation
@@ -88,6 +89,7 @@ def descend(
     goals: wp.array(dtype=wp.float32),
     scene: Surroundings,
     points: wp.array(dtype=wp.float32),
+    balls: wp.array(dtype=wp.float32),
     outline: wp.array(dtype=wp.float32),
     levels: wp.array(dtype=wp.int32),
     terms: Terms,
@@ -116,7 +118,7 @@ def descend(
     while k < iterations and is_converged == 0:
         batch = wp.vec2i(batch_offset[k * preshapes + g], batch_size[k * preshapes + g])
         found = slope_at(
-            hand, samples, target, nearest, goals, scene, points, outline, levels, terms, g, p, q, batch, 0, lane
+            hand, samples, target, nearest, goals, scene, points, balls, outline, levels, terms, g, p, q, batch, 0, lane
         )
         if found.colliding == 0 and k >= settle_from:
             if found.loss < least:

@@ -232,7 +232,7 @@ def slope_inputs(problem: Problem, target: NearestField, batch: Batch) -> list:
     offset, size = (wp.array(part.ravel(), dtype=wp.int32, device=problem.device) for part in batch)
     hand = problem.hand
     goals = [target, target.index, target.coordinates]
-    scene = [problem.surroundings, problem.cloud.points, hand.outline, hand.matching_levels]
+    scene = [problem.surroundings, problem.cloud.points, problem.cloud.balls, hand.outline, hand.matching_levels]
     return [hand.matching, problem.samples, *goals, *scene, problem.terms, offset, size]
 
 

@@ -97,6 +97,7 @@ def _matching_hand(preshapes: tuple[Preshape, ...], device: str) -> warp_match.H
     hand.tool_centre_point = wp.zeros(len(preshapes), dtype=wp.vec3, device=device)
     hand.inverse_inertia = wp.array(np.array(inertia), dtype=wp.mat33, device=device)
     hand.distance = stack_fields([p.hand.shifted(-p.tool_centre_point) for p in preshapes], device)
+    hand.distance_step = DISTANCE_STEP
     nearest = np.concatenate([preshape.nearest_sample.ravel() for preshape in preshapes])
     hand.nearest_sample = wp.array(nearest, dtype=wp.int32, device=device)
     hand.outline_start, _ = _spans([in_blocks(preshape.outline) for preshape in preshapes], device)

@@ -269,16 +269,17 @@ def test_a_hand_arrives_in_the_wider_preshape_that_has_more_room(franka, judge):
     closed = around(judge, 6)
     names = [preshape.name for preshape in franka.preshapes]
     narrow = replace(closed, preshape=np.full(6, names.index("close_30")))  # 50 mm for an object of 40 mm
-    wide = roomiest(narrow, judge)
+    wide, share = roomiest(narrow, judge)
     before, after = (clear_share(some, judge.trials, judge.space) for some in (narrow, wide))
     assert len(wide) == 6
+    np.testing.assert_array_equal(share, after)
     assert np.all(after >= before)
     assert after[0] > before[0]
     assert names[wide.preshape[0]] < "close_30"
     np.testing.assert_array_equal(wide.T_world_gripper, narrow.T_world_gripper)
     np.testing.assert_allclose(wide.grasp_joints[0], 0.02, atol=0.001)  # where they meet the object
     must_not = replace(judge, config=replace(CONFIG, collision=replace(CONFIG.collision, may_open=False)))
-    np.testing.assert_array_equal(roomiest(narrow, must_not).preshape, narrow.preshape)
+    np.testing.assert_array_equal(roomiest(narrow, must_not)[0].preshape, narrow.preshape)
 
 
 def test_refining_makes_the_surest_surer(judge):

@@ -94,7 +94,7 @@ def voxel_means(values: Shaped[Array, "n c"], inverse: Int[Array, "n"], count: i
 
 
 def farthest_along(directions: Float[Array, "k 3"], points: Float[Array, "n 3"]) -> Int[Array, "m"]:
-    """The points that go farthest along some directions, each once. A few directions at a time stay in a core's cache."""
+    """The points that go farthest along some directions, each once. A few directions at a time stay in a cache."""
     columns = np.ascontiguousarray(points.T, dtype=np.float32)
     few = np.array_split(directions.astype(np.float32), -(-len(directions) // 8))
     return np.unique(np.concatenate([np.argmax(some @ columns, axis=1) for some in few]))

@@ -17,7 +17,9 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 from graspmatch.errors import GraspmatchError
@@ -76,8 +78,8 @@ def thread_count() -> int:
 
 @contextlib.contextmanager
 def blas_on_one_thread() -> Iterator[None]:
-    """While it lasts, matrix products have one thread: the others of OpenBLAS wait for the next product in a loop, longer
-    than a stage of a plan takes, on the cores that kernels run on."""
+    """While it lasts, matrix products have one thread: the others of OpenBLAS wait for the next product in a loop, for
+    longer than a stage of a plan takes, on the cores that kernels run on."""
     with _blas().limit(limits=1, user_api="blas"):
         yield
 
@@ -85,6 +87,13 @@ def blas_on_one_thread() -> Iterator[None]:
 @functools.cache
 def _blas() -> ThreadpoolController:
     return ThreadpoolController()
+
+
+def upload(values: ArrayLike, dtype: Any, device: str) -> wp.array:
+    """Values as kernels take them. Of those that change their type on the way there is no second copy on a CPU, which
+    takes a third of the time; nobody may change the others afterwards."""
+    scalar = np.int32 if dtype is wp.int32 else np.float32
+    return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=device, copy=device != "cpu")
 
 
 def launch(

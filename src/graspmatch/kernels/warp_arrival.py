@@ -1,7 +1,7 @@
 """When the surface of a closing finger arrives at points, and along which way, for CPU and CUDA.
 
-Legend: u = A x + b a point in node units, g the grid of one finger of a preshape, t closing fraction at which the finger
-covers a point: its level sets are the finger's surface on its way; e the place of a point in a list.
+Legend: u = A x + b a point in node units, g the grid of one finger of a preshape, t closing fraction at which the
+finger covers a point: its level sets are the finger's surface on its way; e the place of a point in a list.
 """
 
 import warp as wp

@@ -2,8 +2,8 @@
 
 On CUDA a warp works on one candidate, each of its lanes on a share of the points; on a CPU one thread has them all.
 
-Legend: group 32 blocks, near those of them that matter, i candidate, g its preshape, T its pose, x a point of the scene, u = A x + b the same in node units, levels
-the bounds that `warp_blocks` looks it up in, d way back.
+Legend: group 32 blocks, near those of them that matter, i candidate, g its preshape, T its pose, x a point of the
+scene, u = A x + b the same in node units, levels the bounds that `warp_blocks` looks it up in, d way back.
 """
 
 import warp as wp
@@ -114,7 +114,19 @@ def back_off(
     least = least_in[i]
     most = most_in[i]
     retreat_out[i] = way_back(
-        corridor, points, balls, levels, level_step, blocks, back, clearance, step, preshape_in[i], pose_in[i], least, most
+        corridor,
+        points,
+        balls,
+        levels,
+        level_step,
+        blocks,
+        back,
+        clearance,
+        step,
+        preshape_in[i],
+        pose_in[i],
+        least,
+        most,
     )
 
 
@@ -278,8 +290,8 @@ def first_contact(
     pose_in: wp.array(dtype=wp.mat44),
     fraction_out: wp.array(dtype=wp.float32),
 ):
-    """For each finger the closing fraction at which it meets the first scene point; `NEVER` if there is none. `swept` has
-    the levels of how far each node is from what the finger sweeps."""
+    """For each finger the closing fraction at which it meets the first scene point; `NEVER` if there is none. `swept`
+    has the levels of how far each node is from what the finger sweeps."""
     i = first + wp.tid() / lanes()
     A = to_node_units(arrival, pose_in[i])
     g = preshape_in[i] * fingers

@@ -237,6 +237,4 @@ def lowest_bit(mask: wp.uint32) -> int:
 @wp.func
 def bits_below(count: int) -> wp.uint32:
     """The lowest `count` bits, all or none where there are no so many."""
-    return wp.where(
-        count >= BLOCK, ~wp.uint32(0), (wp.uint32(1) << wp.uint32(wp.clamp(count, 0, 31))) - wp.uint32(1)
-    )
+    return wp.where(count >= BLOCK, ~wp.uint32(0), (wp.uint32(1) << wp.uint32(wp.clamp(count, 0, 31))) - wp.uint32(1))

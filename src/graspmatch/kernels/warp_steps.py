@@ -62,7 +62,23 @@ def gradients(
     q = particles.rotation[i]
     batch = wp.vec2i(batch_offset[g], batch_size[g])
     found = slope_at(
-        hand, samples, target, nearest, goals, scene, points, balls, outline, levels, terms, g, p, q, batch, want_loss, lane
+        hand,
+        samples,
+        target,
+        nearest,
+        goals,
+        scene,
+        points,
+        balls,
+        outline,
+        levels,
+        terms,
+        g,
+        p,
+        q,
+        batch,
+        want_loss,
+        lane,
     )
     by_position = found.by_position
     by_rotation = found.by_rotation

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from graspmatch.config import CollisionConfig
 from graspmatch.kernels import warp_avoid
 from graspmatch.kernels.fields import BlockCloud, in_block_order, upload_blocks
-from graspmatch.kernels.launch import launch
+from graspmatch.kernels.launch import launch, upload
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.planner.candidates import Candidates, Free, Matched
 from graspmatch.planner.tally import Tally
@@ -58,8 +58,8 @@ def choose_posture(
     )
     inputs = [*corridor_inputs(space, space.coarse), *_way(space, config.clearance)]
     inputs += [*pose_arrays(matched, space.centre_of_mass, space.device)]
-    inputs += [wp.array(wider, dtype=wp.int32, device=space.device)]
-    inputs += [wp.array(table, dtype=wp.float32, device=space.device), config.largest_retreat]
+    inputs += [upload(wider, wp.int32, space.device)]
+    inputs += [upload(table, wp.float32, space.device), config.largest_retreat]
     outputs = [posture, from_table, needed]
     launch(warp_avoid.open_and_back_off, len(matched), inputs, outputs, space.device, lanes=LANES, chunks=4)
     return posture.numpy().astype(int), from_table.numpy().astype(float), needed.numpy().astype(float)
@@ -142,7 +142,7 @@ def point_retreat(
     if that is not enough."""
     retreat = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
-    bounds = [wp.array(bound, dtype=wp.float32, device=space.device) for bound in (least, most)]
+    bounds = [upload(bound, wp.float32, space.device) for bound in (least, most)]
     inputs = [*corridor_inputs(space, points), *_way(space, clearance), *poses, *bounds]
     launch(warp_avoid.back_off, len(candidates), inputs, [retreat], space.device, lanes=LANES, chunks=4)
     return retreat.numpy().astype(float)
@@ -172,7 +172,7 @@ def clear_ways(
     if space.table is not None:
         up, table = space.table.normal, float(space.table.offset - space.table.normal @ space.centre_of_mass)
     inputs = [*corridor_inputs(space, space.suspected), space.hand.hulls, wp.vec3(*up), table, clearance]
-    inputs += [wp.array(errors, dtype=wp.mat44, device=space.device)]
+    inputs += [upload(errors, wp.mat44, space.device)]
     inputs += pose_arrays(candidates, space.centre_of_mass, space.device)
     count = wp.empty(len(candidates), dtype=wp.int32, device=space.device)
     launch(warp_avoid.clear_ways, len(candidates), inputs, [count], space.device, lanes=LANES, chunks=4)
@@ -213,13 +213,11 @@ def table_retreats(candidates: Candidates, space: Space, config: CollisionConfig
 
 def table_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
     """Height of the hand's lowest corner above the table [m]; exact, since a plane meets a hull first at a corner."""
-    heights = np.full(len(candidates), np.inf)
     if space.table is None:
-        return heights
-    for index in np.unique(candidates.preshape):
-        chosen = np.flatnonzero(candidates.preshape == index)
-        heights[chosen] = _heights(candidates.T_world_gripper[chosen], space.hand.corners[[index]], space.table)[:, 0]
-    return heights
+        return np.full(len(candidates), np.inf)
+    up_gripper = np.einsum("j,njk->nk", space.table.normal, candidates.T_world_gripper[:, :3, :3])
+    along = np.einsum("nvk,nk->nv", space.hand.corners[candidates.preshape], up_gripper)
+    return along.min(axis=-1) + candidates.T_world_gripper[:, :3, 3] @ space.table.normal - space.table.offset
 
 
 def _heights(

@@ -92,8 +92,9 @@ def foremost(
     the more of their arrivals are clear."""
     held = hold(closed, np.full(len(closed), middling(config)), target, space.gripper, config, space.device)
     worth = np.where(held.held, held.margin, held.margin - np.sqrt(closed.loss))  # lost: those that match best
-    share = clear_share(closed, trials, space) * sure_of(held.beyond)
-    worth = share * worth + (1 - share) * np.minimum(worth, LOST_MARGIN)
+    lasts = np.flatnonzero(worth > LOST_MARGIN)  # what is lost in any case may come by any way
+    share = clear_share(closed.select(lasts), trials, space) * sure_of(held.beyond[lasts])
+    worth[lasts] = share * worth[lasts] + (1 - share) * LOST_MARGIN
     order = rank(closed, worth, RankingConfig(count=count), tally, "less promising than others")
     return closed.select(order)
 

@@ -14,7 +14,7 @@ from graspmatch.config import GripConfig
 from graspmatch.geometry.cloud import farthest_along, first_of_voxels, nearest, normal_sector
 from graspmatch.kernels import warp_contacts, warp_hold, warp_wrench
 from graspmatch.kernels.fields import in_blocks, pack_bytes
-from graspmatch.kernels.launch import launch
+from graspmatch.kernels.launch import launch, upload
 from graspmatch.kernels.warp_blocks import BLOCK
 from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.candidates import Candidates
@@ -118,12 +118,12 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
     down = -scene.table.normal if scene.table is not None else np.array([0.0, 0.0, -1.0])
     corners = points[farthest_along(OUTWARD, points)]
     body = warp_contacts.Body()
-    body.points = wp.array(points[index], dtype=wp.vec3, device=device)
-    body.blocks = wp.array(in_blocks(points[index]).ravel(), dtype=wp.float32, device=device)
-    body.normals = wp.array(normals[index], dtype=wp.vec3, device=device)
-    body.is_edge = wp.array(beside_edge(points[index], normals[index]), dtype=wp.int32, device=device)
-    body.beyond = wp.array(scene.beyond[index], dtype=wp.float32, device=device)
-    body.corners = wp.array(corners, dtype=wp.vec3, device=device)
+    body.points = upload(points[index], wp.vec3, device)
+    body.blocks = upload(in_blocks(points[index]).ravel(), wp.float32, device)
+    body.normals = upload(normals[index], wp.vec3, device)
+    body.is_edge = upload(beside_edge(points[index], normals[index]), wp.int32, device)
+    body.beyond = upload(scene.beyond[index], wp.float32, device)
+    body.corners = upload(corners, wp.vec3, device)
     body.down = wp.vec3(*down)
     body.table = NO_TABLE
     if scene.table is not None:
@@ -186,7 +186,7 @@ def pressure_of(
     pressure = warp_wrench.Pressure()
     pressure.drive, pressure.share = _drive_arrays(gripper, device)
     pressure.most = most_force(gripper)
-    pressure.friction = wp.array(friction, dtype=wp.float32, device=device)
+    pressure.friction = upload(friction, wp.float32, device)
     pressure.torsion, pressure.length = config.torsional_friction, length
     return pressure
 
@@ -196,12 +196,12 @@ def _drive_arrays(gripper: Gripper, device: str) -> tuple[wp.array, wp.array]:
     """For each finger the first one of its drive, and how many fingers that closes."""
     drive = drives(gripper)
     share = [drive.count(first) for first in drive]
-    return wp.array(drive, dtype=wp.int32, device=device), wp.array(share, dtype=wp.float32, device=device)
+    return upload(drive, wp.int32, device), upload(share, wp.float32, device)
 
 
 @lru_cache(maxsize=4)
 def _directions(device: str) -> wp.array:
-    return wp.array(DIRECTIONS, dtype=wp.spatial_vector, device=device)
+    return upload(DIRECTIONS, wp.spatial_vector, device)
 
 
 @lru_cache(maxsize=4)
@@ -241,7 +241,7 @@ def _touching_hand(gripper: Gripper, device: str) -> warp_contacts.Hand:
     hand = warp_contacts.Hand()
     hand.arrival, hand.distance = uploaded.arrival, uploaded.matching.distance
     hand.arrival_levels, hand.arrival_step = uploaded.arrival_levels, ARRIVAL_STEP
-    hand.pivot = wp.array(uploaded.pivots, dtype=wp.vec3, device=device)
+    hand.pivot = upload(uploaded.pivots, wp.vec3, device)
     hand.approach = wp.vec3(*gripper.approach)
     hand.distance_levels, hand.distance_step = uploaded.matching_levels, DISTANCE_STEP
     hand.out_of_reach = pack_bytes(out_of_reach, device)

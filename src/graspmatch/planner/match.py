@@ -19,7 +19,7 @@ from graspmatch.geometry.cloud import voxel_downsample
 from graspmatch.geometry.thin import thinned
 from graspmatch.kernels import warp_match, warp_steps
 from graspmatch.kernels.fields import BlockCloud, covering_nearest_field, in_block_order, upload_blocks
-from graspmatch.kernels.launch import launch
+from graspmatch.kernels.launch import launch, upload
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_fields import NearestField
 from graspmatch.planner.candidates import Candidates, Matched
@@ -76,7 +76,7 @@ def prepare(scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.rand
     cloud = upload_blocks([in_block_order(part - scene.centre_of_mass) for part in (own, others)], device)
     return Problem(
         hand=hand,
-        samples=wp.array(hand.rows[:, shuffled].ravel(), dtype=wp.float32, device=device),
+        samples=upload(hand.rows[:, shuffled].ravel(), wp.float32, device),
         centre_of_mass=scene.centre_of_mass,
         target_points=target_points,
         spacing=spacing,
@@ -135,7 +135,7 @@ def in_world(particles: warp_match.Particles, starts: Candidates, problem: Probl
 
 def measure(candidates: Candidates, problem: Problem) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Matching error (14) and loss (13) of poses as they are [m2]: after matching, many were backed off."""
-    particles = upload_particles(candidates, problem)
+    particles = particles_at(candidates, problem)
     gradients(problem, particles, problem.target, whole_batch(problem.hand.samples), want_loss=True)
     return particles.matching_error.numpy().astype(float), particles.loss.numpy().astype(float)
 
@@ -201,7 +201,7 @@ def gradients(
 ) -> None:
     """One pass of eqs. (16)-(18); `want_loss` is for the loss of those that collide, too."""
     inputs = [*slope_inputs(problem, target, batch), int(want_loss), int(with_prior), particles]
-    launch(warp_steps.gradients, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=2)
+    launch(warp_steps.gradients, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=4)
 
 
 def descend(
@@ -229,7 +229,7 @@ def descend(
 
 def slope_inputs(problem: Problem, target: NearestField, batch: Batch) -> list:
     """What the kernels take to find the gradients of the loss."""
-    offset, size = (wp.array(part.ravel(), dtype=wp.int32, device=problem.device) for part in batch)
+    offset, size = (upload(part.ravel(), wp.int32, problem.device) for part in batch)
     hand = problem.hand
     goals = [target, target.index, target.coordinates]
     scene = [problem.surroundings, problem.cloud.points, problem.cloud.balls, hand.outline, hand.matching_levels]
@@ -251,7 +251,7 @@ def groups_of(starts: Candidates, particles: warp_match.Particles, problem: Prob
     """Of particles in the order of their preshapes."""
     preshapes = np.arange(len(problem.hand.samples))
     begin, end = (np.searchsorted(starts.preshape, preshapes, side) for side in ("left", "right"))
-    spans = [wp.array(part, dtype=wp.int32, device=problem.device) for part in (begin, end - begin)]
+    spans = [upload(part, wp.int32, problem.device) for part in (begin, end - begin)]
     return Groups(*spans, wp.empty_like(particles.position), wp.empty_like(particles.rotation))
 
 
@@ -297,23 +297,30 @@ def terms_of(config: MatchingConfig) -> warp_match.Terms:
     return terms
 
 
-def upload_particles(starts: Candidates, problem: Problem) -> warp_match.Particles:
-    """The pivots' poses in the object frame, and room for what the kernels find."""
-    n, device = len(starts), problem.device
-    turn = starts.T_world_gripper[:, :3, :3]
-    pivot = np.einsum("nij,nj->ni", turn, problem.hand.pivots[starts.preshape])
-    place = starts.T_world_gripper[:, :3, 3] - problem.centre_of_mass + pivot
+def particles_at(candidates: Candidates, problem: Problem) -> warp_match.Particles:
+    """The pivots' poses in the object frame, and room for the gradients there."""
+    n, device = len(candidates), problem.device
+    turn = candidates.T_world_gripper[:, :3, :3]
+    pivot = np.einsum("nij,nj->ni", turn, problem.hand.pivots[candidates.preshape])
+    place = candidates.T_world_gripper[:, :3, 3] - problem.centre_of_mass + pivot
     particles = warp_match.Particles()
-    particles.preshape = wp.array(starts.preshape, dtype=wp.int32, device=device)
-    particles.position = wp.array(place, dtype=wp.vec3, device=device)
-    particles.rotation = wp.array(np.roll(se3.quaternion_from_matrix(turn), -1, axis=-1), dtype=wp.quat, device=device)
-    particles.seed_position = wp.clone(particles.position)
-    particles.seed_rotation = wp.clone(particles.rotation)
-    particles.gradient_position = wp.zeros(n, dtype=wp.vec3, device=device)
-    particles.gradient_rotation = wp.zeros(n, dtype=wp.vec3, device=device)
+    particles.preshape = upload(candidates.preshape, wp.int32, device)
+    particles.position = upload(place, wp.vec3, device)
+    particles.rotation = upload(np.roll(se3.quaternion_from_matrix(turn), -1, axis=-1), wp.quat, device)
+    particles.gradient_position = wp.empty(n, dtype=wp.vec3, device=device)
+    particles.gradient_rotation = wp.empty(n, dtype=wp.vec3, device=device)
     particles.matching_error = wp.zeros(n, dtype=wp.float32, device=device)
     particles.loss = wp.full(n, warp_match.NONE, dtype=wp.float32, device=device)
     particles.colliding = wp.zeros(n, dtype=wp.int32, device=device)
+    return particles
+
+
+def upload_particles(starts: Candidates, problem: Problem) -> warp_match.Particles:
+    """The same, with room for all that the kernels find on their way from there."""
+    n, device = len(starts), problem.device
+    particles = particles_at(starts, problem)
+    particles.seed_position = wp.clone(particles.position)
+    particles.seed_rotation = wp.clone(particles.rotation)
     particles.is_converged = wp.zeros(n, dtype=wp.int32, device=device)
     particles.best_loss = wp.full(n, warp_match.NONE, dtype=wp.float32, device=device)
     particles.best_error = wp.zeros(n, dtype=wp.float32, device=device)

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from graspmatch.config import PathConfig, PlannerConfig
 from graspmatch.geometry import se3
 from graspmatch.geometry.thin import thinned
-from graspmatch.kernels.launch import launch
+from graspmatch.kernels.launch import launch, upload
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_path import way_clearance
 from graspmatch.planner.avoid import Space
@@ -142,7 +142,7 @@ def lift_clearance(candidates: Candidates, way: Way) -> Float[Array, "n"]:
     up = np.tile(way.config.lift_height * space.table.normal, (len(candidates), 1))
     poses = pose_arrays(candidates, space.centre_of_mass, space.device, space.hand.pivots)
     inputs = [space.hand.matching.distance, space.points.points, first, end, way.clearance]
-    inputs += [wp.array(up, dtype=wp.vec3, device=space.device), *poses]
+    inputs += [upload(up, wp.vec3, space.device), *poses]
     clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
     launch(way_clearance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=4)
     return clearance.numpy().astype(float)

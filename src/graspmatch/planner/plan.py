@@ -109,9 +109,11 @@ def candidates_from(
     watch.lap("close")
     count = max(config.grip.finalists, config.ranking.count)
     closed = foremost(closed, count, judge.trials, space, judge.target, config.grip, tally)
-    closed = roomiest(closed, judge)  # in wider preshapes, where that makes room
+    closed, share = roomiest(closed, judge)  # in wider preshapes, where that makes room
     watch.lap("screen")
-    graded = judge.grade(closed, judge.first)  # where the fingers push the object, what they hold there, how surely
+    graded = judge.grade(
+        closed, judge.first, share=share
+    )  # where the fingers push the object, what they hold there, how surely
     watch.lap("grade")
     graded = refine(graded, judge)
     watch.lap("refine")

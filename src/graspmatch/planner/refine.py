@@ -80,14 +80,17 @@ def judge_of(
     return Judge(gripper, space, problem, target, way, trials, config, device)
 
 
-def roomiest(closed: Closed, judge: Judge) -> Closed:
-    """Each candidate in the preshape, its own or a wider one, in which the hand most often meets nothing on its way."""
+def roomiest(closed: Closed, judge: Judge) -> tuple[Closed, Float[Array, "n"]]:
+    """Each candidate in the preshape, its own or a wider one, in which the hand most often meets nothing on its
+    way, and how often that is."""
     tried, origin = opened(closed, judge)
     own, share = (clear_share(some, judge.trials, judge.space) for some in (closed, tried))
     better = np.flatnonzero(share > own[origin])
     found, index = closing_on(*free_of(tried.select(better), better, judge), judge)
     owner = np.concatenate([np.arange(len(closed)), origin[index]])
-    return joined(closed, found).select(best_of_each(np.concatenate([own, share[index]]), owner))
+    both = np.concatenate([own, share[index]])
+    best = best_of_each(both, owner)
+    return joined(closed, found).select(best), both[best]
 
 
 def refine(graded: Graded, judge: Judge) -> Graded:
@@ -124,7 +127,8 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
         found = judge.grade(closed, few, current.standing[origin], share[index])
         current, improved = surest(current, found, origin)
         scale = np.where(improved, scale, scale / 2)
-    refined, _ = surest(graded.select(best), judge.grade(current.as_closed(), slice(None)), np.arange(len(best)))
+    final = judge.grade(current.as_closed(), slice(None), share=current.clear_share)
+    refined, _ = surest(graded.select(best), final, np.arange(len(best)))
     return put(graded, best, refined)
 
 

@@ -14,6 +14,7 @@ from graspmatch.geometry.cloud import hull_corners
 from graspmatch.geometry.grid import Grid
 from graspmatch.kernels import warp_match
 from graspmatch.kernels.fields import in_blocks, pack_levels, stack_fields
+from graspmatch.kernels.launch import upload
 from graspmatch.kernels.warp_fields import NEVER, FieldStack
 from graspmatch.planner.candidates import Candidates
 from graspmatch.types import Gripper, Preshape
@@ -167,5 +168,4 @@ def pose_arrays(
     T_object_hand[:, :3, 3] -= centre_of_mass
     if pivots is not None:
         T_object_hand[:, :3, 3] += np.einsum("nij,nj->ni", T_object_hand[:, :3, :3], pivots[candidates.preshape])
-    poses = wp.array(T_object_hand, dtype=wp.mat44, device=device)
-    return [wp.array(candidates.preshape, dtype=wp.int32, device=device), poses]
+    return [upload(candidates.preshape, wp.int32, device), upload(T_object_hand, wp.mat44, device)]

@@ -251,8 +251,12 @@ def groups_of(starts: Candidates, particles: warp_match.Particles, problem: Prob
     """Of particles in the order of their preshapes."""
     preshapes = np.arange(len(problem.hand.samples))
     begin, end = (np.searchsorted(starts.preshape, preshapes, side) for side in ("left", "right"))
-    spans = [upload(part, wp.int32, problem.device) for part in (begin, end - begin)]
-    return Groups(*spans, wp.empty_like(particles.position), wp.empty_like(particles.rotation))
+    return Groups(
+        begin=upload(begin, wp.int32, problem.device),
+        count=upload(end - begin, wp.int32, problem.device),
+        position=wp.empty_like(particles.position),
+        rotation=wp.empty_like(particles.rotation),
+    )
 
 
 def stein_step(problem: Problem, particles: warp_match.Particles, groups: Groups, gamma: float) -> None:

@@ -120,7 +120,8 @@ def swept_grids(preshape: Preshape) -> list[Grid]:
 
 def swept_distance(arrival: Grid) -> Grid:
     """How far each node is from those that the finger sweeps [m]."""
-    return replace(arrival, values=arrival.spacing * ndimage.distance_transform_edt(arrival.values >= NEVER))
+    nodes = np.asarray(ndimage.distance_transform_edt(arrival.values >= NEVER))
+    return replace(arrival, values=arrival.spacing * nodes)
 
 
 def swept_corners(preshapes: tuple[Preshape, ...]) -> Float[np.ndarray, "p f v 3"]:

@@ -282,15 +282,21 @@ def test_clear_ways_are_those_that_keep_their_distance_to_all_points_and_the_tab
     np.testing.assert_array_equal(out.numpy(), expected)
 
 
+def backed_off(toy, field, blocks, poses, wider, least, most):
+    """What `back_off` finds, in steps of a millimetre."""
+    n, device = len(toy.t), toy.device
+    found = [wp.empty(n, dtype=dtype, device=device) for dtype in (wp.int32, wp.float32, wp.float32)]
+    options = [wp.array(wider, dtype=wp.int32, device=device), wp.array(least, dtype=wp.float32, device=device), most]
+    inputs = [*field, blocks, wp.vec3(0.0, 0.0, 1.0), 0.002, 0.001, *poses, *options]
+    launch(warp_avoid.back_off, n, inputs, found, device, lanes=warp_blocks.LANES)
+    return [out.numpy() for out in found]
+
+
 def test_backing_off_ends_at_the_first_step_that_is_clear_of_all_points(rng, device):
     toy = Corridor(rng, device)
     field, blocks, poses = toy.inputs([toy.field], 0.00025)
-    out = wp.empty(len(toy.t), dtype=wp.float32, device=device)
-    way = [wp.vec3(0.0, 0.0, 1.0), 0.002, 0.001]
-    bounds = [wp.full(len(toy.t), bound, dtype=wp.float32, device=device) for bound in (0.0, 0.5)]
-    inputs = [*field, blocks, *way, *poses, *bounds]
-    launch(warp_avoid.back_off, len(toy.t), inputs, [out], device, lanes=warp_blocks.LANES)
-    for local, found in zip(toy.local, out.numpy(), strict=True):
+    _, _, retreat = backed_off(toy, field, blocks, poses, [-1], np.zeros((len(toy.t), 1)), 0.5)
+    for local, found in zip(toy.local, retreat, strict=True):
         # The way back only grows: from point to point it is the first step at which that point is clear.
         steps = np.arange(0, 0.3, 0.001)
         near = np.array([grids.interpolate(toy.field, local + np.array([0, 0, d])) < 0.002 for d in steps])
@@ -305,20 +311,13 @@ def test_hands_open_as_far_as_that_shortens_their_way_back(rng, device):
     field, blocks, poses = toy.inputs(fields, 0.00025)
     n, wider, most, step = len(toy.t), [1, 2, -1, 0], 0.04, 0.001
     least = rng.choice([0.0, 0.0105, np.inf], size=(n, len(fields)))
-    way = [wp.vec3(0.0, 0.0, 1.0), 0.002, step]
     alone = np.zeros((n, len(fields)))
     for g in range(len(fields)):
-        out = wp.empty(n, dtype=wp.float32, device=device)
-        bounds = [wp.array(bound, dtype=wp.float32, device=device) for bound in (least[:, g], np.full(n, most))]
-        inputs = [*field, blocks, *way, wp.full(n, g, dtype=wp.int32, device=device), *poses[1:], *bounds]
-        launch(warp_avoid.back_off, n, inputs, [out], device, lanes=warp_blocks.LANES)
-        alone[:, g] = out.numpy()
-    found = [wp.empty(n, dtype=dtype, device=device) for dtype in (wp.int32, wp.float32, wp.float32)]
+        only = [wp.full(n, g, dtype=wp.int32, device=device), poses[1]]
+        *_, alone[:, g] = backed_off(toy, field, blocks, only, [-1] * len(fields), least, most)
     begin = np.resize([0, 1, 3], n)
-    options = [wp.array(wider, dtype=wp.int32, device=device), wp.array(least, dtype=wp.float32, device=device), most]
-    inputs = [*field, blocks, *way, wp.array(begin, dtype=wp.int32, device=device), *poses[1:], *options]
-    launch(warp_avoid.open_and_back_off, n, inputs, found, device, lanes=warp_blocks.LANES)
-    chosen, smallest, needed = (out.numpy() for out in found)
+    starts = [wp.array(begin, dtype=wp.int32, device=device), poses[1]]
+    chosen, smallest, needed = backed_off(toy, field, blocks, starts, wider, least, most)
     for i in range(n):
         g, best, asked, shortest = begin[i], begin[i], np.inf, np.inf
         while g >= 0 and shortest >= step:

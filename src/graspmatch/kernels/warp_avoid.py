@@ -104,46 +104,6 @@ def back_off(
     step: float,
     preshape_in: wp.array(dtype=wp.int32),
     pose_in: wp.array(dtype=wp.mat44),
-    least_in: wp.array(dtype=wp.float32),
-    most_in: wp.array(dtype=wp.float32),
-    retreat_out: wp.array(dtype=wp.float32),
-):
-    """The way back of each candidate, from the least on: above the most if that is not enough."""
-    i = first + wp.tid() / lanes()
-    back = approach / corridor.spacing
-    least = least_in[i]
-    most = most_in[i]
-    retreat_out[i] = way_back(
-        corridor,
-        points,
-        balls,
-        levels,
-        level_step,
-        blocks,
-        back,
-        clearance,
-        step,
-        preshape_in[i],
-        pose_in[i],
-        least,
-        most,
-    )
-
-
-@wp.kernel
-def open_and_back_off(
-    first: int,
-    corridor: FieldStack,
-    points: wp.array(dtype=wp.float32),
-    balls: wp.array(dtype=wp.float32),
-    levels: wp.array(dtype=wp.int32),
-    level_step: float,
-    blocks: int,
-    approach: wp.vec3,
-    clearance: float,
-    step: float,
-    preshape_in: wp.array(dtype=wp.int32),
-    pose_in: wp.array(dtype=wp.mat44),
     wider: wp.array(dtype=wp.int32),
     least_in: wp.array2d(dtype=wp.float32),
     most: float,

@@ -32,12 +32,14 @@ def keep_free(matched: Matched, space: Space, config: CollisionConfig, tally: Ta
     Matching leaves the inner surface on the object, scan noise and all. A wider preshape at the same pose makes room
     between the fingers, a few millimetres back make room for the palm, and a match that went too deep gets shallower.
     """
-    posture, from_table, needed = choose_posture(matched, space, config)
+    wider = np.where(config.may_open, wider_preshapes(space.gripper), -1)
+    table = table_retreats(matched, space, config)
+    posture, from_table, needed = shortest_retreats(matched, wider, table, space.coarse, space, config)
     is_above = tally.keep(from_table <= config.largest_retreat, "in collision with the table", of=matched)
     matched, posture, needed = matched.select(is_above), posture[is_above], needed[is_above]
-    most = np.full(len(matched), config.largest_retreat)
     opened = Candidates(posture, matched.T_world_gripper)
-    retreat = point_retreat(opened, space, space.points, config.clearance, needed, most)
+    least = np.repeat(needed[:, None], len(wider), axis=1)
+    _, _, retreat = shortest_retreats(opened, np.full_like(wider, -1), least, space.points, space, config)
     reachable = retreat <= config.largest_retreat
     is_clear = tally.keep(reachable, "in collision with object or obstacles on the way in", of=opened)
     free = backed_off(matched.select(is_clear), posture[is_clear], retreat[is_clear], space)
@@ -46,23 +48,26 @@ def keep_free(matched: Matched, space: Space, config: CollisionConfig, tally: Ta
     return free.select(tally.keep(starts_clear, "in collision where their way in begins", of=free))
 
 
-def choose_posture(
-    matched: Matched, space: Space, config: CollisionConfig
+def shortest_retreats(
+    candidates: Candidates,
+    wider: Int[np.ndarray, "p"],
+    least: Float[np.ndarray, "n p"],
+    points: BlockCloud,
+    space: Space,
+    config: CollisionConfig,
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """The preshape, as matched or wider, that needs the shortest way back; the least that the table asks of any of
-    them, and that way [m], infinite where it is too long."""
-    wider = np.where(config.may_open, wider_preshapes(space.gripper), -1)
-    table = table_retreats(matched, space, config)
-    posture, from_table, needed = (
-        wp.empty(len(matched), dtype=dtype, device=space.device) for dtype in (wp.int32, wp.float32, wp.float32)
+    """Of each candidate's preshape and the `wider` ones (for each preshape the next, or -1) that with the shortest way
+    back to clear all points; the least that any of them needs in any case (given as `least`), and that way [m],
+    infinite where it is too long."""
+    posture, smallest, retreat = (
+        wp.empty(len(candidates), dtype=dtype, device=space.device) for dtype in (wp.int32, wp.float32, wp.float32)
     )
-    inputs = [*corridor_inputs(space, space.coarse), *_way(space, config.clearance)]
-    inputs += [*pose_arrays(matched, space.centre_of_mass, space.device)]
-    inputs += [upload(wider, wp.int32, space.device)]
-    inputs += [upload(table, wp.float32, space.device), config.largest_retreat]
-    outputs = [posture, from_table, needed]
-    launch(warp_avoid.open_and_back_off, len(matched), inputs, outputs, space.device, lanes=LANES, chunks=4)
-    return posture.numpy().astype(int), from_table.numpy().astype(float), needed.numpy().astype(float)
+    inputs = [*corridor_inputs(space, points), wp.vec3(*space.gripper.approach), config.clearance, RETREAT_STEP]
+    inputs += [*pose_arrays(candidates, space.centre_of_mass, space.device)]
+    inputs += [upload(wider, wp.int32, space.device), upload(least, wp.float32, space.device), config.largest_retreat]
+    outputs = [posture, smallest, retreat]
+    launch(warp_avoid.back_off, len(candidates), inputs, outputs, space.device, lanes=LANES, chunks=4)
+    return posture.numpy().astype(int), smallest.numpy().astype(float), retreat.numpy().astype(float)
 
 
 @dataclass(frozen=True)
@@ -130,24 +135,6 @@ def backed_off(matched: Matched, posture: Int[np.ndarray, "n"], retreat: Float[n
     return Free(**moved, matched_preshape=matched.preshape, clearance=clearance, retreat=retreat)
 
 
-def point_retreat(
-    candidates: Candidates,
-    space: Space,
-    points: BlockCloud,
-    clearance: float,
-    least: Float[np.ndarray, "n"],
-    most: Float[np.ndarray, "n"],
-) -> Float[np.ndarray, "n"]:
-    """How far, from `least` on, each candidate must back off to keep its clearance of all points [m]; more than `most`
-    if that is not enough."""
-    retreat = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
-    poses = pose_arrays(candidates, space.centre_of_mass, space.device)
-    bounds = [upload(bound, wp.float32, space.device) for bound in (least, most)]
-    inputs = [*corridor_inputs(space, points), *_way(space, clearance), *poses, *bounds]
-    launch(warp_avoid.back_off, len(candidates), inputs, [retreat], space.device, lanes=LANES, chunks=4)
-    return retreat.numpy().astype(float)
-
-
 def table_clearance_of_way(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
     """Height of hand and way in above the table [m]: the way is straight, so lowest at one of its ends."""
     start = Candidates(candidates.preshape, candidates.T_world_gripper @ space.gripper.T_gripper_pregrasp)
@@ -189,11 +176,6 @@ def corridor_inputs(space: Space, points: BlockCloud) -> list:
         DISTANCE_STEP,
         points.blocks,
     ]
-
-
-def _way(space: Space, clearance: float) -> list:
-    """How hands back off, as the kernels take it."""
-    return [wp.vec3(*space.gripper.approach), clearance, RETREAT_STEP]
 
 
 def table_retreats(candidates: Candidates, space: Space, config: CollisionConfig) -> Float[np.ndarray, "n p"]:

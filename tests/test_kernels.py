@@ -1,5 +1,6 @@
 """Kernels against the NumPy reference, and the reference against finite differences and closed forms."""
 
+# pyright: reportInvalidTypeForm=false
 from __future__ import annotations
 
 import multiprocessing
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.spatial import KDTree
+from threadpoolctl import threadpool_info
 
 from graspmatch.errors import GraspmatchError
 from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid
-from graspmatch.kernels import reference, warp_avoid, warp_blocks, warp_fields, warp_match, warp_steps
+from graspmatch.kernels import reference, warp_arrival, warp_avoid, warp_blocks, warp_fields, warp_match, warp_steps
 from graspmatch.kernels.fields import (
     cell_levels,
     covering_nearest_field,
@@ -25,7 +27,7 @@ from graspmatch.kernels.fields import (
     stack_fields,
     upload_blocks,
 )
-from graspmatch.kernels.launch import launch, thread_count
+from graspmatch.kernels.launch import blas_on_one_thread, launch, thread_count
 from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.upload import inverse_inertia, swept_distance
 
@@ -355,6 +357,72 @@ def test_first_contact_is_the_earliest_of_all_points(rng, device):
             nearest = grid.values[tuple((low + (u - low >= 0.5)).T)]
             expected = np.where(corners.max(axis=0) < NEVER, smooth, nearest).min(initial=NEVER)
             assert fraction == pytest.approx(expected, abs=1e-4)
+
+
+@wp.kernel
+def arrivals_one_by_one_and_at_once(
+    first: int,
+    stack: warp_fields.FieldStack,
+    A: wp.mat33,
+    b: wp.vec3,
+    points: wp.array(dtype=wp.float32),
+    listed: wp.array(dtype=wp.int32),
+    t_out: wp.array2d(dtype=wp.float32),
+    slowness_out: wp.array2d(dtype=wp.float32),
+):
+    i = first + wp.tid()
+    for e in range(listed.shape[0]):
+        k = listed[e]
+        x = warp_blocks.block_point(points, k // 32, k % 32)
+        t_out[0, e] = warp_arrival.arrival_at(stack, i, A * x + b)
+    warp_arrival.arrivals(stack, i, A, b, points, listed, 0, listed.shape[0], t_out[1], slowness_out)
+
+
+def test_arrivals_at_many_points_are_those_at_each(rng, device):
+    shape, spacing = (9, 12, 10), 0.004
+    values = np.where(rng.random(shape) < 0.7, rng.random(shape), NEVER)
+    values[:5] = rng.random((5, *shape[1:]))  # where all eight nodes are covered
+    u = rng.uniform(-1, np.array(shape), size=(500, 3))
+    listed = rng.permutation(500)
+    found, slowness = (wp.zeros((n, 500), dtype=wp.float32, device=device) for n in (2, 3))
+    stack = stack_fields([Grid(np.zeros(3), spacing, values)], device)
+    points, list_of = floats(in_blocks(u).ravel(), device), wp.array(listed, dtype=wp.int32, device=device)
+    inputs = [stack, wp.mat33(np.eye(3)), wp.vec3(0.0, 0.0, 0.0), points, list_of]
+    launch(arrivals_one_by_one_and_at_once, 1, inputs, [found, slowness], device)
+    alone, together = found.numpy()
+    np.testing.assert_allclose(together, alone, atol=1e-6)
+    assert 0.2 < np.mean(alone < NEVER) < 0.9
+    node = np.clip((u[listed] + 0.5).astype(int), 1, np.array(shape) - 2)
+    here = values[tuple(node.T)]
+    for axis, step in enumerate(np.eye(3, dtype=int)):
+        before, after = (values[tuple((node + sign * step).T)] for sign in (-1, 1))
+        both = np.where((before < NEVER) & (after < NEVER), 0.5, 1.0)
+        expected = both * (np.where(after < NEVER, after, here) - np.where(before < NEVER, before, here))
+        np.testing.assert_allclose(slowness.numpy()[axis], np.where(here < NEVER, expected, 0.0), atol=1e-6)
+
+
+def test_blocks_that_can_matter_are_looked_at(rng):
+    """Each lies in its ball, the last ones that are not full as well; there are no others."""
+    clouds = [rng.normal(size=(n, 3)) * 0.1 for n in (1, 31, 33, 1500)]
+    found = upload_blocks([in_block_order(cloud) for cloud in clouds], "cpu", scattered=True)
+    points = found.points.numpy().reshape(-1, 3, 32)
+    balls = np.swapaxes(found.balls.numpy().reshape(-1, 4, 32), 1, 2).reshape(-1, 4)
+    assert len(points) == found.blocks == found.ends[-1] == 1 + 1 + 2 + 47
+    for block, (*centre, radius) in zip(points, balls, strict=False):
+        distance = np.linalg.norm(block.T - centre, axis=-1)
+        assert np.all((distance <= radius) | (block[0] > 100))
+        assert radius < 1.5 * np.linalg.norm(np.ptp(block.T[block[0] < 100], axis=0)) / 2 + 1e-5
+    assert np.all(balls[found.blocks :] == 0)
+
+
+def test_products_of_matrices_leave_the_cores_to_kernels():
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    before = threads()
+    with blas_on_one_thread():
+        assert set(threads()) == {1}
+    assert threads() == before
 
 
 # --- matching --------------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from graspmatch.geometry.mesh import TriangleMesh
+from graspmatch.kernels.launch import blas_on_one_thread
 from graspmatch.scene import surface
 from graspmatch.scene.camera import Camera
 from graspmatch.scene.captured import free_scene
@@ -69,6 +70,7 @@ class Scene:
     """Likewise which of the obstacles."""
 
     @classmethod
+    @blas_on_one_thread()
     def read(
         cls,
         path: PathLike,
@@ -110,6 +112,7 @@ class Scene:
         return is_stood_on(self.target.points, others, self.table)
 
     @classmethod
+    @blas_on_one_thread()
     def from_mesh(
         cls,
         mesh: PathLike | TriangleMesh | trimesh.Trimesh | trimesh.Scene,
@@ -135,6 +138,7 @@ class Scene:
         return _mesh_scene(triangles(mesh), "array", table, unit, obstacles)
 
     @classmethod
+    @blas_on_one_thread()
     def from_cloud(
         cls,
         cloud: PathLike | PointCloud | Array,
@@ -158,6 +162,7 @@ class Scene:
         return _cloud_scene(content, name, table, unit, obstacles, sensor_origin)
 
     @classmethod
+    @blas_on_one_thread()
     def from_depth(
         cls,
         depth: PathLike | Array | DepthImage,
@@ -192,6 +197,7 @@ class Scene:
         return free_scene(cls, view, targets, with_table=table is not None, complete=complete)
 
     @classmethod
+    @blas_on_one_thread()
     def from_view(
         cls,
         view: View | PathLike | PointCloud | Array,

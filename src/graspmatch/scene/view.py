@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from graspmatch.geometry.se3 import apply
+from graspmatch.kernels.launch import blas_on_one_thread
 from graspmatch.scene.camera import checked_pose
 from graspmatch.scene.depth import FEWEST_PIXELS, DepthImage, flying
 from graspmatch.scene.plane import find_plane
@@ -52,6 +53,7 @@ class View:
         return np.isfinite(self.points[:, 2])
 
 
+@blas_on_one_thread()
 def view_of_depth(image: DepthImage, source: str = "array") -> View:
     """What a depth image saw, in the frame of its camera."""
     camera, is_placed = image.camera, image.camera.T_world_camera is not None
@@ -69,6 +71,7 @@ def view_of_depth(image: DepthImage, source: str = "array") -> View:
     )
 
 
+@blas_on_one_thread()
 def view_of_cloud(
     cloud: CloudFile,
     *,

@@ -384,7 +384,7 @@ def test_arrivals_at_many_points_are_those_at_each(rng, device):
     values[:5] = rng.random((5, *shape[1:]))  # where all eight nodes are covered
     u = rng.uniform(-1, np.array(shape), size=(500, 3))
     listed = rng.permutation(500)
-    found, slowness = (wp.zeros((n, 500), dtype=wp.float32, device=device) for n in (2, 3))
+    found, slowness = (wp.zeros((n, 500), dtype=wp.float32, device=device) for n in (2, 4))
     stack = stack_fields([Grid(np.zeros(3), spacing, values)], device)
     points, list_of = floats(in_blocks(u).ravel(), device), wp.array(listed, dtype=wp.int32, device=device)
     inputs = [stack, wp.mat33(np.eye(3)), wp.vec3(0.0, 0.0, 0.0), points, list_of]
@@ -399,6 +399,7 @@ def test_arrivals_at_many_points_are_those_at_each(rng, device):
         both = np.where((before < NEVER) & (after < NEVER), 0.5, 1.0)
         expected = both * (np.where(after < NEVER, after, here) - np.where(before < NEVER, before, here))
         np.testing.assert_allclose(slowness.numpy()[axis], np.where(here < NEVER, expected, 0.0), atol=1e-6)
+    np.testing.assert_allclose(slowness.numpy()[3], np.linalg.norm(slowness.numpy()[:3], axis=0), rtol=1e-6)
 
 
 def test_blocks_that_can_matter_are_looked_at(rng):

@@ -57,7 +57,7 @@ def arrivals(
     slowness_out: wp.array2d(dtype=wp.float32),
 ):
     """`arrival_at` for the points of a list from `begin` to `end`, and for each the gradient of the field there: along
-    the way of the finger's surface, the closing fraction that it takes for each node."""
+    the way of the finger's surface, the closing fraction that it takes for each node; and its length."""
     look_up_arrivals(
         NEVER, stack.start[g], stack.dims[g], stack.values, A, b, points, listed, begin, end, t_out, slowness_out
     )
@@ -71,6 +71,7 @@ def arrivals(
     float* s0 = slowness_out.data;
     float* s1 = s0 + slowness_out.shape[1];
     float* s2 = s1 + slowness_out.shape[1];
+    float* size = s2 + slowness_out.shape[1];
     const int nx = dims[0], ny = dims[1], nz = dims[2], dx = ny * nz, dy = nz;
 #if defined(__clang__)
 #pragma clang loop vectorize(assume_safety)
@@ -108,9 +109,17 @@ def arrivals(
         float scale0 = (a0 < never & b0 < never) ? 0.5f : 1.0f;
         float scale1 = (a1 < never & b1 < never) ? 0.5f : 1.0f;
         float scale2 = (a2 < never & b2 < never) ? 0.5f : 1.0f;
-        s0[e] = known * scale0 * ((b0 < never ? b0 : here) - (a0 < never ? a0 : here));
-        s1[e] = known * scale1 * ((b1 < never ? b1 : here) - (a1 < never ? a1 : here));
-        s2[e] = known * scale2 * ((b2 < never ? b2 : here) - (a2 < never ? a2 : here));
+        float g0 = known * scale0 * ((b0 < never ? b0 : here) - (a0 < never ? a0 : here));
+        float g1 = known * scale1 * ((b1 < never ? b1 : here) - (a1 < never ? a1 : here));
+        float g2 = known * scale2 * ((b2 < never ? b2 : here) - (a2 < never ? a2 : here));
+        s0[e] = g0;
+        s1[e] = g1;
+        s2[e] = g2;
+#if defined(__CUDA_ARCH__)
+        size[e] = sqrtf(g0 * g0 + g1 * g1 + g2 * g2);
+#else
+        size[e] = __builtin_elementwise_sqrt(g0 * g0 + g1 * g1 + g2 * g2);
+#endif
     }
 """)
 def look_up_arrivals(

@@ -86,7 +86,8 @@ class Reached:
     excess: wp.array3d(dtype=wp.float32)
     """... how far from touching they are: for a start closing fractions, then distances [m], ..."""
     slowness: wp.array4d(dtype=wp.float32)
-    """... and along the way of a finger's surface the closing fraction that it takes there for each node."""
+    """... and along the way of a finger's surface the closing fraction that it takes there for each node: x, y, z and
+    its length."""
 
 
 @wp.func
@@ -307,9 +308,9 @@ def touch_finger(
             late = excess[e] - earliest
             excess[e] = NEVER
             if late < LATE:
-                way = slowness_at(i, f, e, reached)
-                distance = late * spacing / wp.max(wp.length(way), LEAST_SLOWNESS)
+                distance = late * spacing / wp.max(reached.slowness[i, f, 3, e], LEAST_SLOWNESS)
                 if distance <= tolerance:
+                    way = slowness_at(i, f, e, reached)
                     o = reached.index[i, near[e]]
                     is_touched = e == start or -wp.dot(R * body.normals[o], way) >= FACING * wp.length(way)
                     if is_touched:

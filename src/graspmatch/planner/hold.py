@@ -269,7 +269,7 @@ def _room_for_points(n: int, fingers: int, room: int, device: str) -> warp_conta
     reached.count = wp.empty((n, fingers + 1), dtype=wp.int32, device=device)
     reached.near = wp.empty((n, fingers + 1, room), dtype=wp.int32, device=device)
     reached.excess = wp.empty((n, fingers + 1, room), dtype=wp.float32, device=device)
-    reached.slowness = wp.empty((n, fingers, 3, room), dtype=wp.float32, device=device)
+    reached.slowness = wp.empty((n, fingers, 4, room), dtype=wp.float32, device=device)
     return reached
 
 

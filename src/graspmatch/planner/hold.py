@@ -264,12 +264,13 @@ def room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contacts
 
 def _room_for_points(n: int, fingers: int, room: int, device: str) -> warp_contacts.Reached:
     reached = warp_contacts.Reached()
+    blocks = -(-room // BLOCK)
     reached.index = wp.empty((n, room), dtype=wp.int32, device=device)
-    reached.blocks = wp.empty((n, -(-room // BLOCK) * 3 * BLOCK), dtype=wp.float32, device=device)
+    reached.blocks = wp.empty((n, blocks * 3 * BLOCK), dtype=wp.float32, device=device)
     reached.count = wp.empty((n, fingers + 1), dtype=wp.int32, device=device)
-    reached.near = wp.empty((n, fingers + 1, room), dtype=wp.int32, device=device)
-    reached.excess = wp.empty((n, fingers + 1, room), dtype=wp.float32, device=device)
-    reached.slowness = wp.empty((n, fingers, 4, room), dtype=wp.float32, device=device)
+    reached.near = wp.empty((n, fingers + 1, blocks * BLOCK), dtype=wp.int32, device=device)
+    reached.excess = wp.empty((n, fingers + 1, blocks * BLOCK), dtype=wp.float32, device=device)
+    reached.slowness = wp.empty((n, fingers, 4, blocks * BLOCK), dtype=wp.float32, device=device)
     return reached
 
 

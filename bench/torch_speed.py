@@ -26,7 +26,8 @@ from baselines.torch_problem import torch_prepare
 from graspmatch.apps.bench.machine import machine
 from graspmatch.config import MatchingConfig, PlannerConfig, SeedingConfig
 from graspmatch.gripper.load import load_gripper
-from graspmatch.kernels.launch import blas_on_one_thread, resolve_device, thread_count
+from graspmatch.kernels.blas import blas_on_one_thread
+from graspmatch.kernels.launch import resolve_device, thread_count
 from graspmatch.planner.candidates import Matched
 from graspmatch.planner.match import match, prepare
 from graspmatch.planner.plan import plan

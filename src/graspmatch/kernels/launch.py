@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
-from threadpoolctl import ThreadpoolController
 
 from graspmatch.errors import GraspmatchError
 
@@ -74,19 +73,6 @@ def thread_count() -> int:
     if not wanted.isdecimal() or int(wanted) == 0:
         raise GraspmatchError(f"GRASPMATCH_THREADS is '{wanted}'; it must be a number of threads, 1 or more.")
     return int(wanted)
-
-
-@contextlib.contextmanager
-def blas_on_one_thread() -> Iterator[None]:
-    """While it lasts, matrix products have one thread: the others of OpenBLAS wait for the next product in a loop, for
-    longer than a stage of a plan takes, on the cores that kernels run on."""
-    with _blas().limit(limits=1, user_api="blas"):
-        yield
-
-
-@functools.cache
-def _blas() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 def upload(values: ArrayLike, dtype: Any, device: str) -> wp.array:

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from graspmatch.config import ClosingConfig, PathConfig, PlannerConfig, RankingConfig
-from graspmatch.kernels.launch import blas_on_one_thread, resolve_device
+from graspmatch.kernels.blas import blas_on_one_thread
+from graspmatch.kernels.launch import resolve_device
 from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Candidates, Graded

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from graspmatch.geometry.mesh import TriangleMesh
-from graspmatch.kernels.launch import blas_on_one_thread
+from graspmatch.kernels.blas import blas_on_one_thread
 from graspmatch.scene import surface
 from graspmatch.scene.camera import Camera
 from graspmatch.scene.captured import free_scene

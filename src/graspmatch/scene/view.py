@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from graspmatch.geometry.se3 import apply
-from graspmatch.kernels.launch import blas_on_one_thread
+from graspmatch.kernels.blas import blas_on_one_thread
 from graspmatch.scene.camera import checked_pose
 from graspmatch.scene.depth import FEWEST_PIXELS, DepthImage, flying
 from graspmatch.scene.plane import find_plane

@@ -19,6 +19,7 @@ from graspmatch.config import (
 )
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid, interpolate
+from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space, wider_preshapes
 from graspmatch.planner.candidates import Candidates, Matched
@@ -31,7 +32,7 @@ from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene, Table
 from graspmatch.scene.shapes import mug
 from graspmatch.types import GraspmatchError, Gripper, PointCloud
-from toy_hand import COARSE
+from toy_hand import COARSE, write_toy
 
 METHODS = ("icp", "sgd-icp", "stein-icp", "annealed-stein-icp")
 
@@ -165,8 +166,11 @@ def test_gaussian_seeds_have_the_mean_and_spread_asked_for(toy):
     assert np.sqrt(np.mean(angle**2)) == pytest.approx(0.1 * np.sqrt(3), rel=0.1)
 
 
-def test_grasps_hold_the_box_between_the_fingers_and_miss_nothing(toy):
-    """A 30 mm box and a hand that opens 60 mm: the fingers end at its sides."""
+def test_grasps_hold_the_box_between_the_fingers_and_miss_nothing(tmp_path, monkeypatch):
+    """A 30 mm box and a hand that opens 60 mm: the fingers end at its sides, each about half a node before it."""
+    monkeypatch.setenv("GRASPMATCH_CACHE", str(tmp_path / "cache"))
+    fine = replace(COARSE, grid_spacing=0.0025, link_spacing=0.002, fewest_closing_steps=24)
+    toy = load_gripper(write_toy(tmp_path), baking=fine)
     scene = box_scene()
     config = replace(SMALL, grip=GripConfig(inexact=1.0), ranking=RankingConfig(least_confidence=0.5))
     several = [plan(scene, toy, replace(config, seed=seed)) for seed in range(4)]
@@ -174,7 +178,7 @@ def test_grasps_hold_the_box_between_the_fingers_and_miss_nothing(toy):
     assert all(len(some) > 0 for some in several), grasps.explain()
     joints = np.concatenate([some.grasp_joints for some in several])
     gap = 0.06 - 2 * joints[:, 0]  # at the end, the box turned flush where the hand came obliquely
-    assert np.median(np.abs(gap - 0.03)) < COARSE.grid_spacing
+    assert np.median(np.abs(gap - 0.03)) < 1.6 * fine.grid_spacing
     assert gap.min() > 0.026
     assert np.all(grasps.fingers_touching == 2)
 

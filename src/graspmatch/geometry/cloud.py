@@ -47,6 +47,19 @@ def voxel_downsample(
     return voxel_means(points, inverse, count), inverse
 
 
+def bounds(points: Float[Array, "n 3"]) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Least and largest coordinates of a cloud of one point at least; NumPy takes twenty times as long on rows of
+    three as on columns."""
+    columns = np.ascontiguousarray(points.T)
+    return columns.min(axis=1), columns.max(axis=1)
+
+
+def extent(points: Float[Array, "n 3"]) -> float:
+    """Longest side of the upright box around a cloud of one point at least."""
+    low, high = bounds(points)
+    return float((high - low).max())
+
+
 def first_of_voxels(
     points: Float[Array, "n 3"], spacing: float, *, labels: Int[Array, "n"] | None = None
 ) -> Int[Array, "m"]:
@@ -205,9 +218,9 @@ def outward_signs(
     _, part = connected_components(tree, directed=False)
     signs = _spread_signs(tree, part, normals)
 
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    size = np.ptp(points, axis=0).max()
-    away = points - centre + np.array([0.0, 0.0, 1e-3 * size])  # a flat sheet, which has no outside, faces up
+    low, high = bounds(points)
+    upward = np.array([0.0, 0.0, 1e-3 * (high - low).max()])  # a flat sheet, which has no outside, faces up
+    away = points - (low + high) / 2 + upward
     votes = np.bincount(part, weights=signs * _dot(normals, away))
     return np.where(votes[part] < 0, -signs, signs)
 

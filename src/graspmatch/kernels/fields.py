@@ -10,6 +10,7 @@ import warp as wp
 from jaxtyping import Float, Int, UInt8
 
 from graspmatch.geometry import grid as grids
+from graspmatch.geometry.cloud import bounds
 from graspmatch.geometry.sphere import GOLDEN_RATIO
 from graspmatch.kernels import warp_fields
 from graspmatch.kernels.launch import launch
@@ -116,8 +117,9 @@ def in_block_order(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]
     follow each other."""
     if len(points) == 0:
         return points
-    lower, size = points.min(axis=0), np.ptp(points, axis=0).max()
-    edge = max(NEIGHBOURHOOD, float(size) / 31)  # 32 voxels along each axis at most: the code has 15 bits
+    lower, upper = bounds(points)
+    longest = float((upper - lower).max())
+    edge = max(NEIGHBOURHOOD, longest / 31)  # 32 voxels along each axis at most: the code has 15 bits
     i, j, k = ((points - lower).T / edge).astype(np.uint16)
     j = np.where(i % 2, 31 - j, j)
     k = np.where(j % 2, 31 - k, k)
@@ -157,7 +159,8 @@ def covering_nearest_field(
 
     Nodes are the centres of the cells of `voxel_downsample`, so a cloud thinned at this spacing has one point a node.
     """
-    lower, upper = points.min(axis=0) - margin, points.max(axis=0) + margin
+    lower, upper = bounds(points)
+    lower, upper = lower - margin, upper + margin
     origin = (np.floor(lower / spacing) + 0.5) * spacing
     counts = np.maximum(np.ceil((upper - origin) / spacing).astype(int) + 1, 2)
     return nearest_field(points, origin, (int(counts[0]), int(counts[1]), int(counts[2])), spacing, device)

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from graspmatch.config import MatchingConfig
 from graspmatch.geometry import se3
-from graspmatch.geometry.cloud import voxel_downsample
+from graspmatch.geometry.cloud import extent, voxel_downsample
 from graspmatch.geometry.thin import thinned
 from graspmatch.kernels import warp_match, warp_steps
 from graspmatch.kernels.fields import BlockCloud, covering_nearest_field, in_block_order, upload_blocks
@@ -270,8 +270,8 @@ def stein_step(problem: Problem, particles: warp_match.Particles, groups: Groups
 
 def target_spacing(points: Float[np.ndarray, "n 3"], voxel_size: float) -> float:
     """Spacing of R [m]: finer for objects of few voxels, coarser for those whose field would need too many nodes."""
-    extent = float(np.ptp(points, axis=0).max())
-    return max(min(voxel_size, extent / FEWEST_VOXELS), (extent + 2 * FIELD_MARGIN) / FIELD_NODES)
+    longest = extent(points)
+    return max(min(voxel_size, longest / FEWEST_VOXELS), (longest + 2 * FIELD_MARGIN) / FIELD_NODES)
 
 
 def surroundings_of(scene: Scene, cloud: BlockCloud) -> warp_match.Surroundings:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graspmatch.geometry.cloud import bounds
 from graspmatch.scene import surface
 from graspmatch.scene.complete import far_side, hidden_part
 from graspmatch.scene.sight import sight_lines
@@ -59,8 +60,8 @@ def completed(scene: Scene) -> Scene:
     if scene.view is None or scene.table is None or scene.is_guessed is not None:
         return scene
     seen, others = scene.target, scene.obstacles.points
-    low, high = seen.points.min(axis=0) - HAND_REACH, seen.points.max(axis=0) + HAND_REACH
-    others = others[np.all((others > low) & (others < high), axis=1)]
+    low, high = bounds(seen.points)
+    others = others[np.all((others > low - HAND_REACH) & (others < high + HAND_REACH), axis=1)]
     lines = sight_lines(scene.view, seen.points, 2 * HAND_REACH)
     found = None if lines is None else far_side(seen, scene.table, lines, others)
     if lines is None or found is None:

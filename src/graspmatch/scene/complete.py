@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from graspmatch.geometry.cloud import bounds
 from graspmatch.scene.sight import SightLines
 from graspmatch.scene.slices import LEVELS, Slice, back_of, ridge_of, slice_of
 from graspmatch.types import Plane, PointCloud
@@ -153,7 +154,7 @@ def _voxels(points: Float[Array, "n 3"], table: Plane, origin: Float[Array, "3"]
         away = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     away /= np.linalg.norm(away)
     R = np.stack([np.cross(away, up), away, up], axis=-1)
-    low, high = (points @ R).min(axis=0), (points @ R).max(axis=0)
+    low, high = bounds(points @ R)
     spacing = float(np.clip(np.cbrt(np.prod(np.maximum(high - low, FINEST))) / CELLS, FINEST, COARSEST))
     low, high = low - 3 * spacing, high + 3 * spacing
     high[1] += deep * (high[0] - low[0])

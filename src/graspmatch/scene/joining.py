@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from graspmatch.geometry.cloud import extent
+
 Array = np.ndarray
 
 WITHIN = 0.85
@@ -118,7 +120,7 @@ def _lines(surface: Surface, inside: Bool[Array, "n"], outside: Bool[Array, "n"]
     distance, _ = KDTree(surface.points[outside]).query(surface.points[inside], distance_upper_bound=NEAR)
     over_table = surface.points[inside] - surface.heights[inside, None] * surface.up
     beside = over_table[np.isfinite(distance)]
-    return len(beside) > 0 and bool(np.ptp(beside, axis=0).max() > ALONG * np.ptp(over_table, axis=0).max())
+    return len(beside) > 0 and bool(extent(beside) > ALONG * extent(over_table))
 
 
 def _share_within_hull(inner: Float[Array, "n 3"], outer: Float[Array, "m 3"]) -> float:

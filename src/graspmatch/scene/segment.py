@@ -179,7 +179,7 @@ def _objects_only(
         own = points[mine]
         if np.count_nonzero(mine) * spacing**2 < SMALLEST or (own @ plane.normal).max() - plane.offset < LOWEST_OBJECT:
             result[mine] = NOTHING
-        elif np.mean(over[mine]) > ON_TABLE and np.ptp(own, axis=0).max() < LARGEST:
+        elif np.mean(over[mine]) > ON_TABLE and cloud.extent(own) < LARGEST:
             result[mine] = number
             number += 1
     return result
@@ -222,7 +222,7 @@ def described(view: View, support: SupportPlane | None, labels: Int[Array, "n"])
     boxes, heights, counts = [], [], []
     for i in range(int(labels.max()) + 1):
         own = np.compress(labels == i, view.points, axis=0).astype(np.float64)
-        boxes.append([own.min(axis=0), own.max(axis=0)])
+        boxes.append(cloud.bounds(own))
         heights.append(float(_heights(own, support.plane).max()) if support else float(np.ptp(own[:, 2])))
         counts.append(len(own))
     low, high = np.moveaxis(np.array(boxes), 1, 0)

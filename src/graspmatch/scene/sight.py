@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32
 
+from graspmatch.geometry.cloud import bounds
 from graspmatch.geometry.se3 import rotation_facing
 from graspmatch.scene.view import View, seen_from, to_world
 
@@ -49,7 +50,7 @@ def sight_lines(view: View, target_world: Float[Array, "n 3"], reach: float) -> 
     if view.origin is None:
         return None
     origin = to_world(view, view.origin[None])[0]
-    low, high = target_world.min(axis=0), target_world.max(axis=0)
+    low, high = bounds(target_world)
     middle = (low + high) / 2
     distance = float(np.linalg.norm(middle - origin))
     radius = float(np.linalg.norm(high - low)) / 2 + reach

@@ -152,7 +152,7 @@ def mesh_centre(mesh: TriangleMesh, areas: Float[Array, "f"]) -> Float[Array, "3
 
 def _fine_spacing(points: Float[Array, "n 3"]) -> float:
     """A twentieth of the object [m], at most 2.5 mm."""
-    return min(SPACING, float(max(np.ptp(column) for column in points.T)) / 20)
+    return min(SPACING, cloud.extent(points) / 20)
 
 
 def _thin(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from graspmatch.geometry.cloud import bounds
 from graspmatch.scene.depth_file import read_mask
 from graspmatch.scene.pick import choose, segment_by_mask
 from graspmatch.scene.segment import OTHER, Segmentation, segment
@@ -92,7 +93,8 @@ def _doubt(view: View) -> str:
 def cut_out(view: View, found: Segmentation, index: int, *, notes: tuple[str, ...] = ()) -> Target:
     """One object of a segmentation, and all else above the table that is near it."""
     points = np.compress(found.labels == index, view.points, axis=0)
-    low, high = points.min(axis=0) - SURROUNDINGS, points.max(axis=0) + SURROUNDINGS
+    low, high = bounds(points)
+    low, high = low - SURROUNDINGS, high + SURROUNDINGS
     is_other = (found.labels == OTHER) | ((found.labels >= 0) & (found.labels != index))
     others = np.compress(is_other, view.points, axis=0)
     near = np.all([(others[:, i] > low[i]) & (others[:, i] < high[i]) for i in range(3)], axis=0)

@@ -12,7 +12,7 @@ import warp as wp
 from graspmatch.config import GripConfig
 from graspmatch.geometry import se3
 from graspmatch.gripper.load import load_gripper
-from graspmatch.kernels import warp_contacts
+from graspmatch.kernels import warp_reach
 from graspmatch.kernels.fields import in_blocks
 from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.hold import GRAVITY, Held, Touchable, drives, hold, touchable
@@ -288,10 +288,10 @@ def test_fingers_on_sides_that_were_seen_are_sure_of_them_whatever_is_between(fr
 # --- what must not matter --------------------------------------------------------------------------------------------
 
 
-def with_arrays(body: warp_contacts.Body, change) -> warp_contacts.Body:
+def with_arrays(body: warp_reach.Body, change) -> warp_reach.Body:
     """The body with `change(name, values)` in place of each of its arrays."""
-    other = warp_contacts.Body()
-    for name in warp_contacts.Body.vars:
+    other = warp_reach.Body()
+    for name in warp_reach.Body.vars:
         value = getattr(body, name)
         is_array = isinstance(value, wp.array)
         setattr(other, name, wp.array(change(name, value.numpy()), dtype=value.dtype) if is_array else value)

@@ -194,7 +194,9 @@ class RefiningConfig:
     rounds: int = 3
     """Steps of the search."""
     trials: int = 3
-    """Of each grasp in the search."""
+    """Of each grasp in the search ..."""
+    contenders: int = 3
+    """... and of so many of its neighbours: those that do best in the first of them."""
     searches: int = 2
     """At most so many, the next around the next best, ..."""
     enough: float = 0.95

@@ -1,15 +1,16 @@
 """Where closing fingers, palm and table touch an object between them, for CPU and CUDA.
 
-Legend: i grasp, o index of a point of the object, k its place among those that the hand can reach, e among those near
-to what touches; R, shift turn and place of the body in the gripper frame; x point there, n outward normal; p preshape,
-f finger, g what touches (the fingers, then palm, then table), c contact of it.
+Legend: i grasp, o index of a point of the object, k its place among those that a finger can reach, e among those near
+to it; R, shift turn and place of the body in the gripper frame; x point there, n outward normal; p preshape, f finger,
+g what touches (the fingers, then palm, then table), c contact of it.
 """
 
 import warp as wp
 
 from graspmatch.kernels.warp_arrival import arrivals
-from graspmatch.kernels.warp_blocks import BLOCK, FAR, level_of, lowest_bit, points_below
+from graspmatch.kernels.warp_blocks import BLOCK, level_of, lowest_bit, points_below
 from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate
+from graspmatch.kernels.warp_reach import PALM_TOUCHES, Body, Hand, Reached, blocks_of
 from graspmatch.kernels.warp_wrench import Contacts
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -26,68 +27,10 @@ PALM_FACING = 0.5
 """The same for the approach and what the palm touches."""
 SAME_FACE = 0.8
 """Cosine between the normals of a face and of a point on its edge."""
-PALM_TOUCHES = 0.002
-"""Points nearer to the palm than this touch it [m]."""
 PALM_WAY = 0.006
 """... if it comes nearer by half of this, so far straight back along the approach: else it is beside them [m]."""
 TABLE_TOUCHES = 0.0015
 """Points lower above the table than this lie on it [m]."""
-
-
-@wp.struct
-class Body:
-    """The object, turned as the world is; origin at the centre of mass."""
-
-    points: wp.array(dtype=wp.vec3)
-    blocks: wp.array(dtype=wp.float32)
-    """The same as `warp_blocks` has them."""
-    normals: wp.array(dtype=wp.vec3)
-    is_edge: wp.array(dtype=wp.int32)
-    """Whether a point is beside an edge: what touches there pushes along no normal of the object's alone."""
-    beyond: wp.array(dtype=wp.float32)
-    """How far each point is from what was seen of the object [m]."""
-    corners: wp.array(dtype=wp.vec3)
-    """Those that can lie on a plane."""
-    down: wp.vec3
-    table: wp.float32
-    """Height of the table, against `down` [m]; far below where there is none."""
-
-
-@wp.struct
-class Hand:
-    """What can touch of all preshapes, gripper frame."""
-
-    arrival: FieldStack
-    """One grid for each finger of each preshape."""
-    arrival_levels: wp.array(dtype=wp.int32)
-    arrival_step: wp.float32
-    """Between levels."""
-    distance: FieldStack
-    """Signed distance of the open hand, about its pivot."""
-    distance_levels: wp.array(dtype=wp.int32)
-    distance_step: wp.float32
-    out_of_reach: wp.array(dtype=wp.int32)
-    """Of those grids, for each node a byte that is zero where a point can be touched."""
-    pivot: wp.array(dtype=wp.vec3)
-    approach: wp.vec3
-
-
-@wp.struct
-class Reached:
-    """Scratch: the points of each grasp that its hand can reach, and of these the few near to each finger and palm."""
-
-    index: wp.array2d(dtype=wp.int32)
-    blocks: wp.array2d(dtype=wp.float32)
-    """Where they are in the body, as `warp_blocks` has them."""
-    count: wp.array2d(dtype=wp.int32)
-    """Of those near to each, ..."""
-    near: wp.array3d(dtype=wp.int32)
-    """... their places among those that the hand can reach, ..."""
-    excess: wp.array3d(dtype=wp.float32)
-    """... how far from touching they are: for a start closing fractions, then distances [m], ..."""
-    slowness: wp.array4d(dtype=wp.float32)
-    """... and along the way of a finger's surface the closing fraction that it takes there for each node: x, y, z and
-    its length."""
 
 
 @wp.func
@@ -135,7 +78,7 @@ def put_contact(
     contacts: Contacts,
 ):
     """One of the points near to g as a contact."""
-    o = reached.index[i, reached.near[i, g, e]]
+    o = reached.index[i, g, reached.near[i, g, e]]
     contacts.point[i, g, c] = R * body.points[o] + shift
     contacts.push[i, g, c] = push_of(R * body.normals[o], body.is_edge[o], face, slowness_at(i, g, e, reached))
 
@@ -157,7 +100,7 @@ def spread_patch(
     two axes; all by their places in the list."""
     put_contact(i, g, 0, start, face, R, shift, body, reached, contacts)
     x0 = contacts.point[i, g, 0]
-    o = reached.index[i, reached.near[i, g, start]]
+    o = reached.index[i, g, reached.near[i, g, start]]
     beyond = body.beyond[o]
     n0 = R * body.normals[o]
     a = across(n0)
@@ -166,7 +109,7 @@ def spread_patch(
     corner = wp.vec4i(start, start, start, start)
     for e in range(reached.count[i, g]):
         if reached.excess[i, g, e] <= tolerance:
-            x = R * body.points[reached.index[i, reached.near[i, g, e]]] + shift - x0
+            x = R * body.points[reached.index[i, g, reached.near[i, g, e]]] + shift - x0
             along = wp.vec2(wp.dot(x, a), wp.dot(x, b))
             for s in range(4):
                 value = along[s // 2] * wp.where(s % 2 == 0, 1.0, -1.0)
@@ -181,42 +124,10 @@ def spread_patch(
             is_new = is_new and corner[r] != e
         if is_new:
             put_contact(i, g, found, e, face, R, shift, body, reached, contacts)
-            beyond += body.beyond[reached.index[i, reached.near[i, g, e]]]
+            beyond += body.beyond[reached.index[i, g, reached.near[i, g, e]]]
             found += 1
     contacts.count[i, g] = found
     contacts.beyond[i, g] = beyond / float(found)
-
-
-@wp.func
-def gather(i: int, p: int, R: wp.mat33, shift: wp.vec3, body: Body, hand: Hand, reached: Reached) -> int:
-    """Note the points that the hand can reach, at most as many as there is room for, and say how many blocks they
-    fill."""
-    spacing = hand.distance.spacing
-    b = (shift - hand.pivot[p] - hand.distance.origin[p]) / spacing + wp.vec3(0.5, 0.5, 0.5)  # the nearest node
-    count = int(0)
-    block = int(0)
-    while block < body.blocks.shape[0] // (3 * BLOCK):
-        mask = points_below(1, hand.distance, hand.out_of_reach, p, R / spacing, b, body.blocks, block)
-        while mask != wp.uint32(0):
-            if count < reached.index.shape[1]:
-                o = block * BLOCK + lowest_bit(mask)
-                reached.index[i, count] = o
-                put_in_block(reached.blocks, i, count, body.points[o])
-                count += 1
-            mask = mask & (mask - wp.uint32(1))
-        block += 1
-    blocks = (count + BLOCK - 1) // BLOCK
-    for rest in range(count, blocks * BLOCK):
-        put_in_block(reached.blocks, i, rest, wp.vec3(FAR, FAR, FAR))
-    return blocks
-
-
-@wp.func
-def put_in_block(blocks: wp.array2d(dtype=wp.float32), i: int, k: int, x: wp.vec3):
-    """Coordinates of the k-th point of a row of blocks."""
-    first = k // BLOCK * 3 * BLOCK + k % BLOCK
-    for axis in range(3):
-        blocks[i, first + axis * BLOCK] = x[axis]
 
 
 @wp.func
@@ -257,7 +168,6 @@ def touch_finger(
     i: int,
     f: int,
     grid: int,
-    blocks: int,
     R: wp.mat33,
     shift: wp.vec3,
     tolerance: float,
@@ -272,7 +182,8 @@ def touch_finger(
     spacing = hand.arrival.spacing
     A = R / spacing
     b = (shift - hand.arrival.origin[grid]) / spacing
-    points = reached.blocks[i]
+    points = reached.blocks[i, f]
+    blocks = blocks_of(i, f, reached)
     near = reached.near[i, f]
     excess = reached.excess[i, f]
     earliest = float(NEVER)
@@ -294,7 +205,7 @@ def touch_finger(
         for e in range(begin, count):
             if excess[e] < earliest:
                 way = slowness_at(i, f, e, reached)
-                n = R * body.normals[reached.index[i, near[e]]]
+                n = R * body.normals[reached.index[i, f, near[e]]]
                 if -wp.dot(n, way) >= FACING_FIRST * wp.length(way):
                     earliest = excess[e]
                     start = e
@@ -311,7 +222,7 @@ def touch_finger(
                 distance = late * spacing / wp.max(reached.slowness[i, f, 3, e], LEAST_SLOWNESS)
                 if distance <= tolerance:
                     way = slowness_at(i, f, e, reached)
-                    o = reached.index[i, near[e]]
+                    o = reached.index[i, f, near[e]]
                     is_touched = e == start or -wp.dot(R * body.normals[o], way) >= FACING * wp.length(way)
                     if is_touched:
                         excess[e] = distance
@@ -321,7 +232,7 @@ def touch_finger(
         face = wp.vec3(0.0, 0.0, 0.0)
         if on_face >= 0:
             start = on_face
-            face = R * body.normals[reached.index[i, near[on_face]]]
+            face = R * body.normals[reached.index[i, f, near[on_face]]]
         spread_patch(i, f, start, face, R, shift, tolerance, body, reached, contacts)
 
 
@@ -330,7 +241,6 @@ def touch_palm(
     i: int,
     g: int,
     p: int,
-    blocks: int,
     R: wp.mat33,
     shift: wp.vec3,
     tolerance: float,
@@ -340,7 +250,8 @@ def touch_palm(
     contacts: Contacts,
 ):
     """The contacts of the palm, if the object touches it."""
-    points = reached.blocks[i]
+    points = reached.blocks[i, g]
+    blocks = blocks_of(i, g, reached)
     A = R / hand.distance.spacing
     b = (shift - hand.pivot[p] - hand.distance.origin[p]) / hand.distance.spacing
     limit = level_of(PALM_TOUCHES + tolerance, hand.distance_step)
@@ -353,7 +264,7 @@ def touch_palm(
         while mask != wp.uint32(0):
             k = block * BLOCK + lowest_bit(mask)
             mask = mask & (mask - wp.uint32(1))
-            o = reached.index[i, k]
+            o = reached.index[i, g, k]
             if wp.dot(R * body.normals[o], hand.approach) < -PALM_FACING:
                 x = R * body.points[o] + shift - hand.pivot[p]
                 gap = interpolate(hand.distance, p, x)

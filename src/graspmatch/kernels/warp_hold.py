@@ -9,8 +9,9 @@ the object's centre of mass in the gripper frame; w wrench.
 
 import warp as wp
 
-from graspmatch.kernels.warp_contacts import Body, Hand, Reached, gather, touch_finger, touch_palm, touch_table
+from graspmatch.kernels.warp_contacts import touch_finger, touch_palm, touch_table
 from graspmatch.kernels.warp_fields import NEVER, place_of, turn_of
+from graspmatch.kernels.warp_reach import Body, Hand, Reached, gather
 from graspmatch.kernels.warp_wrench import Contacts, Pressure, lay_out, least_wrench, margin_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -111,7 +112,7 @@ def hold(
     c = -(R * place_of(pose_in[i]))
     up = -(R * body.down)
     floor = body.table + wp.dot(body.down, place_of(pose_in[i]))
-    blocks = gather(i, p, R, c, body, hand, reached)
+    gather(i, p, R, c, body, hand, reached)
     weight = wp.spatial_vector(-course.weight * up, wp.vec3(0.0, 0.0, 0.0))
     load = wp.where(body.table > -1.0e3, weight, wp.spatial_vector())  # what lies on nothing floats until it is held
     for k in range(FIGURES):
@@ -127,8 +128,8 @@ def hold(
         contacts.centre[i] = c
         for f in range(fingers):
             grid = p * fingers + f
-            touch_finger(i, f, grid, blocks, R, c, course.patch, body, hand, reached, fraction, contacts)
-        touch_palm(i, fingers, p, blocks, R, c, course.patch, body, hand, reached, contacts)
+            touch_finger(i, f, grid, R, c, course.patch, body, hand, reached, fraction, contacts)
+        touch_palm(i, fingers, p, R, c, course.patch, body, hand, reached, contacts)
         contacts.count[i, fingers + 1] = 0
         if state == CLOSING:
             touch_table(i, fingers + 1, R, c, floor, up, body, contacts)

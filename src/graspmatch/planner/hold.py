@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from graspmatch.config import GripConfig
 from graspmatch.geometry.cloud import farthest_along, first_of_voxels, nearest, normal_sector
-from graspmatch.kernels import warp_contacts, warp_hold, warp_wrench
+from graspmatch.kernels import warp_hold, warp_reach, warp_wrench
 from graspmatch.kernels.fields import in_blocks, pack_bytes
 from graspmatch.kernels.launch import launch, upload
 from graspmatch.kernels.warp_blocks import BLOCK
@@ -67,7 +67,7 @@ class Room:
 class Touchable:
     """The object as closing fingers meet it, on the device, and what it weighs on."""
 
-    body: warp_contacts.Body
+    body: warp_reach.Body
     centre_of_mass: Float[Array, "3"]
     length: float
     """Root mean square distance of its surface from the centre of mass [m]: torques are measured by it."""
@@ -117,7 +117,7 @@ def touchable(scene: Scene, most: int, device: str) -> Touchable:
     index = np.random.default_rng(0).permutation(index)  # any of the first are spread evenly too
     down = -scene.table.normal if scene.table is not None else np.array([0.0, 0.0, -1.0])
     corners = points[farthest_along(OUTWARD, points)]
-    body = warp_contacts.Body()
+    body = warp_reach.Body()
     body.points = upload(points[index], wp.vec3, device)
     body.blocks = upload(in_blocks(points[index]).ravel(), wp.float32, device)
     body.normals = upload(normals[index], wp.vec3, device)
@@ -229,7 +229,7 @@ def _course(gripper: Gripper, config: GripConfig, *, upright: bool) -> warp_hold
 
 
 @lru_cache(maxsize=4)
-def _touching_hand(gripper: Gripper, device: str) -> warp_contacts.Hand:
+def _touching_hand(gripper: Gripper, device: str) -> warp_reach.Hand:
     """Fields of all preshapes, and where they can touch something, the hand before it closes included."""
     uploaded = upload_gripper(gripper, device)
     out_of_reach = []
@@ -238,13 +238,14 @@ def _touching_hand(gripper: Gripper, device: str) -> warp_contacts.Hand:
         steps = max(int(np.ceil(ROOM / preshape.hand.spacing)), 1)
         near = ndimage.binary_dilation(touches, iterations=steps)
         out_of_reach.append(np.where(near, 0, 1).astype(np.uint8))
-    hand = warp_contacts.Hand()
+    hand = warp_reach.Hand()
     hand.arrival, hand.distance = uploaded.arrival, uploaded.matching.distance
     hand.arrival_levels, hand.arrival_step = uploaded.arrival_levels, ARRIVAL_STEP
     hand.pivot = upload(uploaded.pivots, wp.vec3, device)
     hand.approach = wp.vec3(*gripper.approach)
     hand.distance_levels, hand.distance_step = uploaded.matching_levels, DISTANCE_STEP
     hand.out_of_reach = pack_bytes(out_of_reach, device)
+    hand.swept_levels, hand.room = uploaded.swept_levels, ROOM
     return hand
 
 
@@ -262,11 +263,12 @@ def room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contacts
     return contacts
 
 
-def _room_for_points(n: int, fingers: int, room: int, device: str) -> warp_contacts.Reached:
-    reached = warp_contacts.Reached()
+def _room_for_points(n: int, fingers: int, room: int, device: str) -> warp_reach.Reached:
+    reached = warp_reach.Reached()
     blocks = -(-room // BLOCK)
-    reached.index = wp.empty((n, room), dtype=wp.int32, device=device)
-    reached.blocks = wp.empty((n, blocks * 3 * BLOCK), dtype=wp.float32, device=device)
+    reached.index = wp.empty((n, fingers + 2, room), dtype=wp.int32, device=device)
+    reached.blocks = wp.empty((n, fingers + 2, blocks * 3 * BLOCK), dtype=wp.float32, device=device)
+    reached.size = wp.empty((n, fingers + 2), dtype=wp.int32, device=device)
     reached.count = wp.empty((n, fingers + 1), dtype=wp.int32, device=device)
     reached.near = wp.empty((n, fingers + 1, blocks * BLOCK), dtype=wp.int32, device=device)
     reached.excess = wp.empty((n, fingers + 1, blocks * BLOCK), dtype=wp.float32, device=device)

@@ -89,7 +89,7 @@ def roomiest(closed: Closed, judge: Judge) -> tuple[Closed, Float[Array, "n"]]:
     found, index = closing_on(*free_of(tried.select(better), better, judge), judge)
     owner = np.concatenate([np.arange(len(closed)), origin[index]])
     both = np.concatenate([own, share[index]])
-    best = best_of_each(both, owner)
+    best = best_of_each(both, owner, 1)
     return joined(closed, found).select(best), both[best]
 
 
@@ -112,7 +112,7 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
     """All candidates, some replaced by the surest of their neighbours that are free and close on the object.
 
     Coordinate search: a step both ways along and about each axis of the hand through its tool centre point; steps are
-    halved where none of them helps. Every pose is judged under the same trials.
+    halved where none of them helps. Every pose is judged under the same trials; one trial tells which need all.
     """
     config = judge.config.refining
     few = slice(config.trials)
@@ -124,7 +124,11 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
         may_help = np.flatnonzero(share > current.sureness[origin])  # none is surer than that
         closed, index = closing_on(tried.select(may_help), may_help, judge)
         origin = origin[index]
-        found = judge.grade(closed, few, current.standing[origin], share[index])
+        found = judge.grade(closed, slice(1), current.standing[origin], share[index])
+        contend = best_of_each(found.sureness, origin, config.contenders)
+        found, origin = found.select(contend), origin[contend]
+        if config.trials > 1:
+            found = pooled(found, judge.retried(found, slice(1, config.trials)))
         current, improved = surest(current, found, origin)
         scale = np.where(improved, scale, scale / 2)
     final = judge.grade(current.as_closed(), slice(None), share=current.clear_share)
@@ -198,14 +202,15 @@ def closing_on(tried: Free, origin: Int[Array, "m"], judge: Judge) -> tuple[Clos
 def surest(current: Graded, found: Graded, origin: Int[Array, "m"]) -> tuple[Graded, Array]:
     """For each candidate the surest of itself and its neighbours, and whether that is a neighbour."""
     both = joined(current, found)
-    first = best_of_each(both.sureness, np.concatenate([np.arange(len(current)), origin]))
+    first = best_of_each(both.sureness, np.concatenate([np.arange(len(current)), origin]), 1)
     return both.select(first), first >= len(current)
 
 
-def best_of_each(worth: Float[Array, "n"], owner: Int[Array, "n"]) -> Int[Array, "k"]:
-    """Index of the first of the best of each owner, in the owners' order."""
+def best_of_each(worth: Float[Array, "n"], owner: Int[Array, "n"], count: int) -> Int[Array, "k"]:
+    """Indices of so many of the best of each owner, in the owners' order; of equals the first."""
     order = np.lexsort((-worth, owner))  # stable
-    return order[np.unique(owner[order], return_index=True)[1]]
+    owner = owner[order]
+    return order[np.arange(len(owner)) - np.searchsorted(owner, owner) < count]
 
 
 def put(graded: Graded, index: Int[Array, "k"], by: Graded) -> Graded:

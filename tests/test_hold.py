@@ -15,7 +15,7 @@ from graspmatch.gripper.load import load_gripper
 from graspmatch.kernels import warp_reach
 from graspmatch.kernels.fields import in_blocks
 from graspmatch.planner.candidates import Candidates
-from graspmatch.planner.hold import GRAVITY, Held, Touchable, drives, hold, touchable
+from graspmatch.planner.hold import GRAVITY, HeldAt, Touchable, drives, hold_at, touchable
 from graspmatch.scene.scene import Scene
 from graspmatch.scene.shapes import convex_hull
 from graspmatch.types import Gripper
@@ -67,12 +67,12 @@ def closed_on(
     gripper: Gripper,
     friction: float | Sequence[float] | np.ndarray = MIDDLING,
     config: GripConfig = CONFIG,
-) -> Held:
+) -> HeldAt:
     each = np.broadcast_to(np.asarray(friction, dtype=float), len(hands)).copy()
-    return hold(hands, each, target, gripper, config, "cpu")
+    return hold_at(hands, each, target, gripper, config, "cpu")
 
 
-def contacts(held: Held, i: int, g: int):
+def contacts(held: HeldAt, i: int, g: int):
     """Points and pushes of what g touches."""
     return held.point[i, g, : held.count[i, g]], held.push[i, g, : held.count[i, g]]
 

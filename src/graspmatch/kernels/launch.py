@@ -57,6 +57,12 @@ def resolve_device(name: str) -> str:
 
 
 @functools.cache
+def _cores() -> int:
+    """That this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="graspmatch")
 
@@ -69,7 +75,7 @@ def thread_count() -> int:
     """Number of CPU threads used for kernels: `GRASPMATCH_THREADS`, else the cores this process may run on."""
     wanted = os.environ.get("GRASPMATCH_THREADS")
     if not wanted:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return _cores()
     if not wanted.isdecimal() or int(wanted) == 0:
         raise GraspmatchError(f"GRASPMATCH_THREADS is '{wanted}'; it must be a number of threads, 1 or more.")
     return int(wanted)
@@ -80,6 +86,11 @@ def upload(values: ArrayLike, dtype: Any, device: str) -> wp.array:
     takes a third of the time; nobody may change the others afterwards."""
     scalar = np.int32 if dtype is wp.int32 else np.float32
     return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=device, copy=device != "cpu")
+
+
+def download(values: wp.array) -> np.ndarray:
+    """What kernels have written; on a CPU the memory itself, which the next launch may change."""
+    return np.asarray(values) if values.device.is_cpu else values.numpy()
 
 
 def launch(

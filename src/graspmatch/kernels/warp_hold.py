@@ -26,10 +26,16 @@ SLACK = 0.01
 """Closing fraction within which fingers count as touching together."""
 SHORTEST = 0.2
 """Share of the first step at which the object is said to be jammed: steps are halved where they turn back."""
-FIGURES = 5
-"""Way and turn until the lift, then from it: [m], [rad]; how far from what was seen a finger touches, at most [m]."""
+FIGURES = 8
+"""Way and turn until the lift, then from it: [m], [rad]; then these four:"""
 BEYOND = 4
-"""The last of them."""
+"""How far from what was seen a finger touches, at most [m]."""
+MARGIN = 5
+"""Of the grasp, see `wrench_margin`."""
+STATE = 6
+"""`HELD` or `LOST`."""
+TOUCHES = 7
+"""Number of contacts of fingers and palm."""
 
 
 @wp.struct
@@ -96,8 +102,6 @@ def hold(
     reached: Reached,
     contacts: Contacts,
     fraction: wp.array2d(dtype=wp.float32),
-    state_out: wp.array(dtype=wp.int32),
-    margin_out: wp.array(dtype=wp.float32),
     figures_out: wp.array2d(dtype=wp.float32),
 ):
     """Whether the object is held in the end, its contacts then, and the margin of the grasp: see `wrench_margin`.
@@ -189,5 +193,7 @@ def hold(
         margin = margin_of(contacts, pressure, i, weight, directions, course.descents)
         if margin < -course.tolerance:
             state = int(LOST)  # the search for the least wrench did not find what the one for the margin does
-    state_out[i] = state
-    margin_out[i] = margin
+    figures_out[i, STATE] = float(state)
+    figures_out[i, MARGIN] = margin
+    for g in range(fingers + 1):
+        figures_out[i, TOUCHES] += float(contacts.count[i, g])

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from graspmatch.config import CollisionConfig
 from graspmatch.kernels import warp_avoid
 from graspmatch.kernels.fields import BlockCloud, in_block_order, upload_blocks
-from graspmatch.kernels.launch import launch, upload
+from graspmatch.kernels.launch import download, launch, upload
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.planner.candidates import Candidates, Free, Matched
 from graspmatch.planner.tally import Tally
@@ -67,7 +67,7 @@ def shortest_retreats(
     inputs += [upload(wider, wp.int32, space.device), upload(least, wp.float32, space.device), config.largest_retreat]
     outputs = [posture, smallest, retreat]
     launch(warp_avoid.back_off, len(candidates), inputs, outputs, space.device, lanes=LANES, chunks=4)
-    return posture.numpy().astype(int), smallest.numpy().astype(float), retreat.numpy().astype(float)
+    return download(posture).astype(int), download(smallest).astype(float), download(retreat).astype(float)
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def point_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
     inputs = [*corridor_inputs(space, space.points), *poses]
     launch(warp_avoid.least_distance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=4)
-    return clearance.numpy().astype(float)
+    return download(clearance).astype(float)
 
 
 def clear_ways(
@@ -163,7 +163,7 @@ def clear_ways(
     inputs += pose_arrays(candidates, space.centre_of_mass, space.device)
     count = wp.empty(len(candidates), dtype=wp.int32, device=space.device)
     launch(warp_avoid.clear_ways, len(candidates), inputs, [count], space.device, lanes=LANES, chunks=4)
-    return count.numpy().astype(int)
+    return download(count).astype(int)
 
 
 def corridor_inputs(space: Space, points: BlockCloud) -> list:

@@ -9,7 +9,7 @@ import warp as wp
 from jaxtyping import Bool, Float, Int
 
 from graspmatch.config import ClosingConfig
-from graspmatch.kernels.launch import launch
+from graspmatch.kernels.launch import download, launch
 from graspmatch.kernels.warp_avoid import first_contact
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_fields import NEVER
@@ -59,7 +59,7 @@ def contact_fractions(free: Free, space: Space) -> tuple[Float[np.ndarray, "n f"
         if blocks[1] > blocks[0]:
             inputs = [*field, *blocks, *poses]
             launch(first_contact, len(free), inputs, [fraction], space.device, lanes=LANES, chunks=4)
-        found.append(fraction.numpy().reshape(-1, fingers).astype(float))
+        found.append(download(fraction).reshape(-1, fingers).astype(float))
     return found[0], found[1]
 
 

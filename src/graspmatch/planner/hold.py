@@ -14,7 +14,7 @@ from graspmatch.config import GripConfig
 from graspmatch.geometry.cloud import farthest_along, first_of_voxels, nearest, normal_sector
 from graspmatch.kernels import warp_hold, warp_reach, warp_wrench
 from graspmatch.kernels.fields import in_blocks, pack_bytes
-from graspmatch.kernels.launch import launch, upload
+from graspmatch.kernels.launch import download, launch, upload
 from graspmatch.kernels.warp_blocks import BLOCK
 from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.candidates import Candidates
@@ -38,7 +38,7 @@ NO_TABLE = -1.0e6
 """Height of the table where there is none [m]."""
 SEARCHES = 6
 """Steps of the search for the wrench that friction cannot balance."""
-CHUNKS = 8
+CHUNKS = 4
 """For each thread: some grasps take much longer than others."""
 DESCENTS = 12
 """Steps of the search for the weakest direction."""
@@ -58,8 +58,6 @@ class Room:
         self.contacts = room_for_contacts(n, fingers, device)
         self.reached = _room_for_points(n, fingers, points, device)
         self.fraction = wp.empty((n, fingers), dtype=wp.float32, device=device)
-        self.state = wp.empty(n, dtype=wp.int32, device=device)
-        self.margin = wp.empty(n, dtype=wp.float32, device=device)
         self.figures = wp.empty((n, warp_hold.FIGURES), dtype=wp.float32, device=device)
 
 
@@ -77,7 +75,7 @@ class Touchable:
 
 @dataclass(frozen=True)
 class Held:
-    """What came of n grasps; contacts are those in the end, gripper frame, of f fingers, the palm and the table."""
+    """What came of n grasps of f fingers."""
 
     held: Bool[Array, "n"]
     """Whether friction balanced the object's weight after the lift."""
@@ -86,11 +84,8 @@ class Held:
     In units of one finger's force and, for torques, of that times the object's length."""
     fraction: Float[Array, "n f"]
     """Closing fraction at which each finger touches; 2 where it does not."""
-    count: Int[Array, "n g"]
-    point: Float[Array, "n g c 3"]
-    """[m]"""
-    push: Float[Array, "n g c 3"]
-    """Unit vectors along which the contacts push the object: against its normals."""
+    contacts: Int[Array, "n"]
+    """Of fingers and palm in the end."""
     pushed: Float[Array, "n"]
     """Way of the object's centre of mass while the fingers close [m] ..."""
     turned: Float[Array, "n"]
@@ -100,10 +95,16 @@ class Held:
     beyond: Float[Array, "n"]
     """How far from what was seen of the object a finger touches it in the end, at most [m]."""
 
-    @property
-    def contacts(self) -> Int[Array, "n"]:
-        """Number of contacts of fingers and palm."""
-        return self.count.sum(axis=-1)
+
+@dataclass(frozen=True)
+class HeldAt(Held):
+    """And where: the contacts in the end, gripper frame, of the fingers, the palm and the table."""
+
+    count: Int[Array, "n g"]
+    point: Float[Array, "n g c 3"]
+    """[m]"""
+    push: Float[Array, "n g c 3"]
+    """Unit vectors along which the contacts push the object: against its normals."""
 
 
 def touchable(scene: Scene, most: int, device: str) -> Touchable:
@@ -153,7 +154,6 @@ def hold(
     pushed, not turned, and what holds it is asked before it is lifted."""
     n, room = len(candidates), target.room
     room.make(n, len(gripper.fingers), min(config.reachable_points, len(target.body.points)), device)
-    contacts = room.contacts
     inputs = [
         target.body,
         _touching_hand(gripper, device),
@@ -162,20 +162,37 @@ def hold(
         _directions(device),
         *pose_arrays(candidates, target.centre_of_mass, device),
     ]
-    outputs = [room.reached, contacts, room.fraction, room.state, room.margin, room.figures]
+    outputs = [room.reached, room.contacts, room.fraction, room.figures]
     launch(warp_hold.hold, n, inputs, outputs, device, chunks=CHUNKS)
-    figures = room.figures.numpy()[:n].astype(float)
+    figures = download(room.figures)[:n].astype(float).T
     return Held(
-        held=room.state.numpy()[:n] == warp_hold.HELD,
-        margin=room.margin.numpy()[:n].astype(float),
-        fraction=room.fraction.numpy()[:n].astype(float),
-        count=contacts.count.numpy()[:n].astype(int),
-        point=contacts.point.numpy()[:n].astype(float),
-        push=contacts.push.numpy()[:n].astype(float),
-        pushed=figures[:, 0],
-        turned=figures[:, 1],
-        slipped=figures[:, 2],
-        beyond=figures[:, warp_hold.BEYOND],
+        held=figures[warp_hold.STATE] == warp_hold.HELD,
+        margin=figures[warp_hold.MARGIN],
+        fraction=download(room.fraction)[:n].astype(float),
+        contacts=figures[warp_hold.TOUCHES].astype(int),
+        pushed=figures[0],
+        turned=figures[1],
+        slipped=figures[2],
+        beyond=figures[warp_hold.BEYOND],
+    )
+
+
+def hold_at(
+    candidates: Candidates,
+    friction: Float[Array, "n"],
+    target: Touchable,
+    gripper: Gripper,
+    config: GripConfig,
+    device: str,
+) -> HeldAt:
+    """The same, and where the contacts are."""
+    held = hold(candidates, friction, target, gripper, config, device)
+    n, contacts = len(candidates), target.room.contacts
+    return HeldAt(
+        **vars(held),
+        count=download(contacts.count)[:n].astype(int),
+        point=download(contacts.point)[:n].astype(float),
+        push=download(contacts.push)[:n].astype(float),
     )
 
 

@@ -19,7 +19,7 @@ from graspmatch.geometry.cloud import extent, voxel_downsample
 from graspmatch.geometry.thin import thinned
 from graspmatch.kernels import warp_match, warp_steps
 from graspmatch.kernels.fields import BlockCloud, covering_nearest_field, in_block_order, upload_blocks
-from graspmatch.kernels.launch import launch, upload
+from graspmatch.kernels.launch import download, launch, upload
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_fields import NearestField
 from graspmatch.planner.candidates import Candidates, Matched
@@ -121,15 +121,15 @@ def match(
 
 def in_world(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
     """The particles where they are, in the world, and what was last found there."""
-    rotation = se3.matrix_from_quaternion(np.roll(particles.rotation.numpy().astype(float), 1, axis=-1))
-    position = particles.position.numpy().astype(float) + problem.centre_of_mass
+    rotation = se3.matrix_from_quaternion(np.roll(download(particles.rotation).astype(float), 1, axis=-1))
+    position = download(particles.position).astype(float) + problem.centre_of_mass
     lever = np.einsum("nij,nj->ni", rotation, problem.hand.pivots[starts.preshape])
     return Matched(
         preshape=starts.preshape,
         T_world_gripper=se3.from_parts(rotation, position - lever),
-        matching_error=particles.matching_error.numpy().astype(float),
-        loss=particles.loss.numpy().astype(float),
-        is_free=particles.colliding.numpy() == 0,
+        matching_error=download(particles.matching_error).astype(float),
+        loss=download(particles.loss).astype(float),
+        is_free=download(particles.colliding) == 0,
     )
 
 
@@ -137,7 +137,7 @@ def measure(candidates: Candidates, problem: Problem) -> tuple[Float[np.ndarray,
     """Matching error (14) and loss (13) of poses as they are [m2]: after matching, many were backed off."""
     particles = particles_at(candidates, problem)
     gradients(problem, particles, problem.target, whole_batch(problem.hand.samples), want_loss=True)
-    return particles.matching_error.numpy().astype(float), particles.loss.numpy().astype(float)
+    return download(particles.matching_error).astype(float), download(particles.loss).astype(float)
 
 
 def stein_phase(config: MatchingConfig) -> int:

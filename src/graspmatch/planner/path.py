@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from graspmatch.config import PathConfig, PlannerConfig
 from graspmatch.geometry import se3
 from graspmatch.geometry.thin import thinned
-from graspmatch.kernels.launch import launch, upload
+from graspmatch.kernels.launch import download, launch, upload
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.kernels.warp_path import way_clearance
 from graspmatch.planner.avoid import Space
@@ -145,7 +145,7 @@ def lift_clearance(candidates: Candidates, way: Way) -> Float[Array, "n"]:
     inputs += [upload(up, wp.vec3, space.device), *poses]
     clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
     launch(way_clearance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=4)
-    return clearance.numpy().astype(float)
+    return download(clearance).astype(float)
 
 
 def meets(target: Float[Array, "n 3"], obstacles: Float[Array, "m 3"], way: Float[Array, "3"]) -> bool:

@@ -12,7 +12,7 @@ from graspmatch.geometry.mesh import TriangleMesh
 from graspmatch.geometry.se3 import apply
 from graspmatch.planner.candidates import Candidates
 from graspmatch.planner.grade import middling
-from graspmatch.planner.hold import hold, touchable
+from graspmatch.planner.hold import hold_at, touchable
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspSet, Gripper
 
@@ -40,7 +40,7 @@ def contacts_of(scene: Scene, gripper: Gripper, grasps: GraspSet, device: str) -
     config = GripConfig()
     candidates = Candidates(grasps.preshape, grasps.T_world_gripper)
     friction = np.full(len(grasps), middling(config))
-    held = hold(candidates, friction, touchable(scene, config.points, device), gripper, config, device)
+    held = hold_at(candidates, friction, touchable(scene, config.points, device), gripper, config, device)
     found = []
     for i, T_world_gripper in enumerate(grasps.T_world_gripper):
         groups = [(g, c) for g, count in enumerate(held.count[i, :-1]) for c in range(count)]  # the last is the table

@@ -520,13 +520,13 @@ class Toy:
         return [hand, samples, *goals, *around, terms, *batch]
 
     def gradients(self, scene, terms, particles, *, want_loss=False, with_prior=False, **kwargs):
-        inputs = [*self.slope_inputs(scene, terms, **kwargs), int(want_loss), int(with_prior), particles]
+        inputs = [*self.slope_inputs(scene, terms, **kwargs), 0, int(want_loss), int(with_prior), particles]
         launch(warp_steps.gradients, len(self.t), inputs, [], self.device, lanes=warp_blocks.LANES)
 
     def descend(self, scene, terms, particles, iterations=1, *, closed_form=False):
         *inputs, offset, size = self.slope_inputs(scene, terms)
         batches = [wp.array(np.tile(v.numpy(), iterations), device=self.device) for v in (offset, size)]
-        inputs += [*batches, iterations, 0, int(closed_form), particles]
+        inputs += [*batches, 0, iterations, 0, int(closed_form), particles]
         launch(warp_steps.descend, len(self.t), inputs, [], self.device, lanes=warp_blocks.LANES)
 
 

@@ -16,7 +16,8 @@ from graspmatch.kernels.warp_wrench import Contacts
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 LATE = 0.25
-"""Closing fraction after a finger's first contact in which it goes much farther than a contact patch is deep."""
+"""Closing fraction after a finger's first contact in which what is still touched belongs to its patch, at most; less
+where nearly all of the finger's surface goes through the patch in less."""
 FACING_FIRST = 0.2
 """Cosine between the way of a finger and its push on a point, at least, for a first contact ..."""
 FACING = 0.5
@@ -186,6 +187,7 @@ def touch_finger(
     blocks = blocks_of(i, f, reached)
     near = reached.near[i, f]
     excess = reached.excess[i, f]
+    late = wp.min(LATE, tolerance * hand.slowest[grid])
     earliest = float(NEVER)
     start = int(-1)
     count = int(0)
@@ -193,7 +195,7 @@ def touch_finger(
     while block < blocks:
         begin = count
         end = wp.where(block == 0, 1, blocks)  # the first block, spread over all, tells how late the others may be
-        limit = wp.min(level_of(earliest + LATE, hand.arrival_step), 255)  # the last level is that of cells never swept
+        limit = wp.min(level_of(earliest + late, hand.arrival_step), 255)  # the last level is that of cells never swept
         while block < end:
             mask = points_below(limit, hand.arrival, hand.arrival_levels, grid, A, b, points, block)
             while mask != wp.uint32(0):
@@ -216,10 +218,10 @@ def touch_finger(
         on_face = int(-1)
         nearest = float(tolerance)
         for e in range(count):  # from fractions to distances
-            late = excess[e] - earliest
+            after = excess[e] - earliest
             excess[e] = NEVER
-            if late < LATE:
-                distance = late * spacing / wp.max(reached.slowness[i, f, 3, e], LEAST_SLOWNESS)
+            if after < late:
+                distance = after * spacing / wp.max(reached.slowness[i, f, 3, e], LEAST_SLOWNESS)
                 if distance <= tolerance:
                     way = slowness_at(i, f, e, reached)
                     o = reached.index[i, f, near[e]]

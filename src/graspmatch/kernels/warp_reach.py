@@ -43,6 +43,8 @@ class Hand:
     arrival_levels: wp.array(dtype=wp.int32)
     arrival_step: wp.float32
     """Between levels."""
+    slowest: wp.array(dtype=wp.float32)
+    """For each grid the closing fraction that hardly any part of the finger's surface takes for a metre [1/m]."""
     distance: FieldStack
     """Signed distance of the open hand, about its pivot."""
     distance_levels: wp.array(dtype=wp.int32)

@@ -50,6 +50,7 @@ def gradients(
     terms: Terms,
     batch_offset: wp.array(dtype=wp.int32),
     batch_size: wp.array(dtype=wp.int32),
+    iteration: int,
     want_loss: int,
     with_prior: int,
     particles: Particles,
@@ -60,7 +61,8 @@ def gradients(
     g = particles.preshape[i]
     p = particles.position[i]
     q = particles.rotation[i]
-    batch = wp.vec2i(batch_offset[g], batch_size[g])
+    drawn = iteration * hand.count.shape[0] + g
+    batch = wp.vec2i(batch_offset[drawn], batch_size[drawn])
     found = slope_at(
         hand,
         samples,
@@ -111,20 +113,21 @@ def descend(
     terms: Terms,
     batch_offset: wp.array(dtype=wp.int32),
     batch_size: wp.array(dtype=wp.int32),
+    iteration: int,
     iterations: int,
     settle_from: int,
     closed_form: int,
     particles: Particles,
 ):
     """SGD-ICP: so many iterations of eq. (3), theta - eta A g, of one particle, which needs no other for them; in
-    closed form those of ICP. The batches of all iterations lie one behind the other. From `settle_from` on, where they
-    are whole, a free particle whose loss hardly changes any more has converged, and its best pose is remembered."""
+    closed form those of ICP. The first of them is `iteration`, and the batches of all lie one behind the other. From
+    `settle_from` on, where they are whole, a free particle whose loss hardly changes any more has converged, and its
+    best pose is remembered."""
     i = first + wp.tid() / lanes()
     lane = wp.tid() % lanes()
     if particles.is_converged[i] != 0:
         return
     g = particles.preshape[i]
-    preshapes = hand.count.shape[0]
     p = particles.position[i]
     q = particles.rotation[i]
     previous = particles.loss[i]
@@ -132,7 +135,8 @@ def descend(
     is_converged = int(0)
     k = int(0)
     while k < iterations and is_converged == 0:
-        batch = wp.vec2i(batch_offset[k * preshapes + g], batch_size[k * preshapes + g])
+        drawn = (iteration + k) * hand.count.shape[0] + g
+        batch = wp.vec2i(batch_offset[drawn], batch_size[drawn])
         found = slope_at(
             hand, samples, target, nearest, goals, scene, points, balls, outline, levels, terms, g, p, q, batch, 0, lane
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -23,7 +23,7 @@ class Candidates:
 
     def select(self, keep: Array) -> Self:
         """The candidates of a mask or an index array."""
-        return replace(self, **{f.name: getattr(self, f.name)[keep] for f in fields(self)})
+        return type(self)(**{name: values[keep] for name, values in vars(self).items()})
 
 
 @dataclass(frozen=True)

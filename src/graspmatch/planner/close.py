@@ -58,7 +58,7 @@ def contact_fractions(free: Free, space: Space) -> tuple[Float[np.ndarray, "n f"
         fraction = wp.full(len(free) * fingers, NEVER, dtype=wp.float32, device=space.device)
         if blocks[1] > blocks[0]:
             inputs = [*field, *blocks, *poses]
-            launch(first_contact, len(free), inputs, [fraction], space.device, lanes=LANES, chunks=4)
+            launch(first_contact, len(free), inputs, [fraction], space.device, lanes=LANES, chunks=2)
         found.append(download(fraction).reshape(-1, fingers).astype(float))
     return found[0], found[1]
 
@@ -69,11 +69,11 @@ def table_fractions(free: Free, table: Plane, gripper: Gripper, hand: DeviceHand
     direction = np.einsum("j,njk->nk", table.normal, free.T_world_gripper[:, :3, :3])  # the normal in the gripper frame
     height = free.T_world_gripper[:, :3, 3] @ table.normal - table.offset
     lowest = np.einsum("nfvj,nj->nfv", hand.swept_corners[free.preshape], direction).min(axis=-1, initial=np.inf)
-    for index, preshape in enumerate(gripper.preshapes):
-        for f, outline in enumerate(preshape.finger_outlines):
-            chosen = np.flatnonzero((free.preshape == index) & (lowest[:, f] + height < 0))
-            if not len(chosen):
-                continue
+    reaches = lowest + height[:, None] < 0
+    for f in np.flatnonzero(reaches.any(axis=0)):
+        for index in np.unique(free.preshape[reaches[:, f]]):
+            chosen = np.flatnonzero((free.preshape == index) & reaches[:, f])
+            outline = gripper.preshapes[index].finger_outlines[f]
             heights = (direction[chosen] @ outline.reshape(-1, 3).T).reshape(len(chosen), *outline.shape[:2])
             fractions[chosen, f] = first_crossing(heights.min(axis=-1, initial=np.inf) + height[chosen, None])
     return fractions

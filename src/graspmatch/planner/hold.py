@@ -258,6 +258,7 @@ def _touching_hand(gripper: Gripper, device: str) -> warp_reach.Hand:
     hand = warp_reach.Hand()
     hand.arrival, hand.distance = uploaded.arrival, uploaded.matching.distance
     hand.arrival_levels, hand.arrival_step = uploaded.arrival_levels, ARRIVAL_STEP
+    hand.slowest = upload(uploaded.slowest, wp.float32, device)
     hand.pivot = upload(uploaded.pivots, wp.vec3, device)
     hand.approach = wp.vec3(*gripper.approach)
     hand.distance_levels, hand.distance_step = uploaded.matching_levels, DISTANCE_STEP

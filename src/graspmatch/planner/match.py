@@ -7,7 +7,7 @@ world axes, origin at the centre of mass.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -36,8 +36,22 @@ FEWEST_VOXELS = 10
 """At least so many voxels along the longest side: smaller objects are thinned less."""
 
 
-Batch = tuple[Int[np.ndarray, "*k p"], Int[np.ndarray, "*k p"]]
-"""First sample and number of samples of each preshape's mini-batch, a window of its shuffled samples."""
+@dataclass(frozen=True)
+class Draws:
+    """The mini-batches of k iterations."""
+
+    offset: wp.array
+    """First sample of each preshape's mini-batch, a window of its shuffled samples, of k times p preshapes ..."""
+    size: wp.array
+    """... and number of samples."""
+    parts: tuple[Float[np.ndarray, "_ 3"], ...] = ()
+    """Those of the target; none where it is always the whole."""
+
+    def target(self, k: int, problem: Problem) -> NearestField:
+        """That of one iteration."""
+        if not self.parts:
+            return problem.target
+        return covering_nearest_field(self.parts[k], problem.spacing, FIELD_MARGIN, problem.device)
 
 
 @dataclass(frozen=True)
@@ -60,6 +74,8 @@ class Problem:
     cloud: BlockCloud
     """... and its points."""
     terms: warp_match.Terms
+    whole: Draws
+    """All samples and the whole target."""
     device: str
 
 
@@ -84,6 +100,7 @@ def prepare(scene: Scene, gripper: Gripper, config: MatchingConfig, rng: np.rand
         surroundings=surroundings_of(scene, cloud),
         cloud=cloud,
         terms=terms_of(config),
+        whole=uploaded_draws(*whole_batch(hand.samples), device),
         device=device,
     )
 
@@ -107,13 +124,13 @@ def match(
     show()
     stein_iterations = min(stein_phase(config), config.iterations)
     groups = groups_of(starts, particles, problem)
+    draws = draw(problem, config, rng)
     for k in range(1, stein_iterations + 1):
-        gradients(problem, particles, *draw(k, problem, config, rng), with_prior=True)  # eqs. (16)-(18)
+        gradients(problem, particles, draws, k - 1, with_prior=True)  # eqs. (16)-(18)
         stein_step(problem, particles, groups, annealing(k, config))  # eqs. (7), (8)
         show()
-    rest = range(stein_iterations + 1, config.iterations + 1)
-    descend(problem, particles, rest, config, rng, show if recording else None)  # eq. (3)
-    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples), want_loss=True)
+    descend(problem, particles, draws, stein_iterations, config, show if recording else None)  # eq. (3)
+    gradients(problem, particles, problem.whole, want_loss=True)
     launch(warp_steps.take_best, len(starts), [particles], [], problem.device)
     show()
     return in_world(particles, starts, problem)
@@ -136,7 +153,7 @@ def in_world(particles: warp_match.Particles, starts: Candidates, problem: Probl
 def measure(candidates: Candidates, problem: Problem) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Matching error (14) and loss (13) of poses as they are [m2]: after matching, many were backed off."""
     particles = particles_at(candidates, problem)
-    gradients(problem, particles, problem.target, whole_batch(problem.hand.samples), want_loss=True)
+    gradients(problem, particles, problem.whole, want_loss=True)
     return download(particles.matching_error).astype(float), download(particles.loss).astype(float)
 
 
@@ -164,23 +181,30 @@ def full_batch_from(config: MatchingConfig) -> float:
     return 2 * config.iterations / 3
 
 
-def draw(k: int, problem: Problem, config: MatchingConfig, rng: np.random.Generator) -> tuple[NearestField, Batch]:
-    """Target and mini-batch of iteration k."""
-    share = batch_share(k, config)
+def draw(problem: Problem, config: MatchingConfig, rng: np.random.Generator) -> Draws:
+    """The mini-batches of all iterations: of S, or of R as Algorithm 1 prints it."""
+    shares = np.array([batch_share(k, config) for k in range(1, config.iterations + 1)])
     if config.batch_from == "gripper":
-        return problem.target, mini_batch(problem.hand.samples, share, rng)
-    part = object_batch(problem.target_points, share, rng)
-    return covering_nearest_field(part, problem.spacing, FIELD_MARGIN, problem.device), whole_batch(
-        problem.hand.samples
-    )
+        return uploaded_draws(*mini_batch(problem.hand.samples, shares, rng), problem.device)
+    offset, size = (np.tile(part, (len(shares), 1)) for part in whole_batch(problem.hand.samples))
+    parts = tuple(object_batch(problem.target_points, share, rng) for share in shares)
+    return replace(uploaded_draws(offset, size, problem.device), parts=parts)
 
 
-def mini_batch(samples: Int[np.ndarray, "p"], share: float, rng: np.random.Generator) -> Batch:
-    """A random window of every preshape's samples."""
-    return rng.integers(samples), np.ceil(share * samples).astype(int)
+def uploaded_draws(offset: Int[np.ndarray, "*k p"], size: Int[np.ndarray, "*k p"], device: str) -> Draws:
+    """Windows of the samples, and the whole target."""
+    return Draws(upload(offset.ravel(), wp.int32, device), upload(size.ravel(), wp.int32, device))
 
 
-def whole_batch(samples: Int[np.ndarray, "p"]) -> Batch:
+def mini_batch(
+    samples: Int[np.ndarray, "p"], shares: Float[np.ndarray, "*k"] | float, rng: np.random.Generator
+) -> tuple[Int[np.ndarray, "*k p"], Int[np.ndarray, "*k p"]]:
+    """Random windows of every preshape's samples: where each begins, and how long it is."""
+    offset = rng.integers(samples, size=(*np.shape(shares), len(samples)))
+    return offset, np.ceil(np.multiply.outer(shares, samples)).astype(int)
+
+
+def whole_batch(samples: Int[np.ndarray, "p"]) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
     """All samples of every preshape."""
     return np.zeros_like(samples), samples
 
@@ -193,47 +217,45 @@ def object_batch(points: Float[np.ndarray, "n 3"], share: float, rng: np.random.
 def gradients(
     problem: Problem,
     particles: warp_match.Particles,
-    target: NearestField,
-    batch: Batch,
+    draws: Draws,
+    k: int = 0,
     *,
     want_loss: bool = False,
     with_prior: bool = False,
 ) -> None:
-    """One pass of eqs. (16)-(18); `want_loss` is for the loss of those that collide, too."""
-    inputs = [*slope_inputs(problem, target, batch), int(want_loss), int(with_prior), particles]
-    launch(warp_steps.gradients, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=4)
+    """One pass of eqs. (16)-(18), with the k-th of the mini-batches; `want_loss` is for the loss of those that collide,
+    too."""
+    inputs = [*slope_inputs(problem, draws, k), int(want_loss), int(with_prior), particles]
+    launch(warp_steps.gradients, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=2)
 
 
 def descend(
     problem: Problem,
     particles: warp_match.Particles,
-    iterations: range,
+    draws: Draws,
+    first: int,
     config: MatchingConfig,
-    rng: np.random.Generator,
     show: Callable[[], object] | None = None,
 ) -> None:
-    """The iterations in which every particle goes its own way: one launch, but where each has another target or is
-    shown."""
-    settle_from = int(np.ceil(full_batch_from(config)))
-    at_once = config.batch_from == "gripper" and show is None
-    runs = [iterations] if at_once else [range(k, k + 1) for k in iterations]
+    """The iterations from a first one on, in which every particle goes its own way: one launch, but where each has
+    another target or is shown."""
+    settle_from = int(np.ceil(full_batch_from(config))) - 1
+    rest = range(first, config.iterations)
+    runs = [rest] if not draws.parts and show is None else [range(k, k + 1) for k in rest]
     for run in filter(len, runs):
-        targets, batches = zip(*(draw(k, problem, config, rng) for k in run), strict=True)
-        offset, size = (np.concatenate(part) for part in zip(*batches, strict=True))
         counts = [len(run), settle_from - run.start, int(config.method == "icp")]
-        inputs = [*slope_inputs(problem, targets[0], (offset, size)), *counts, particles]
-        launch(warp_steps.descend, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=8)
+        inputs = [*slope_inputs(problem, draws, run.start), *counts, particles]
+        launch(warp_steps.descend, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=4)
         if show:
             show()
 
 
-def slope_inputs(problem: Problem, target: NearestField, batch: Batch) -> list:
-    """What the kernels take to find the gradients of the loss."""
-    offset, size = (upload(part.ravel(), wp.int32, problem.device) for part in batch)
-    hand = problem.hand
+def slope_inputs(problem: Problem, draws: Draws, k: int) -> list:
+    """What the kernels take to find the gradients of the loss, from the k-th mini-batch on."""
+    hand, target = problem.hand, draws.target(k, problem)
     goals = [target, target.index, target.coordinates]
     scene = [problem.surroundings, problem.cloud.points, problem.cloud.balls, hand.outline, hand.matching_levels]
-    return [hand.matching, problem.samples, *goals, *scene, problem.terms, offset, size]
+    return [hand.matching, problem.samples, *goals, *scene, problem.terms, draws.offset, draws.size, k]
 
 
 @dataclass
@@ -313,9 +335,9 @@ def particles_at(candidates: Candidates, problem: Problem) -> warp_match.Particl
     particles.rotation = upload(np.roll(se3.quaternion_from_matrix(turn), -1, axis=-1), wp.quat, device)
     particles.gradient_position = wp.empty(n, dtype=wp.vec3, device=device)
     particles.gradient_rotation = wp.empty(n, dtype=wp.vec3, device=device)
-    particles.matching_error = wp.zeros(n, dtype=wp.float32, device=device)
-    particles.loss = wp.full(n, warp_match.NONE, dtype=wp.float32, device=device)
-    particles.colliding = wp.zeros(n, dtype=wp.int32, device=device)
+    particles.matching_error = wp.empty(n, dtype=wp.float32, device=device)
+    particles.loss = upload(np.full(n, warp_match.NONE), wp.float32, device)
+    particles.colliding = wp.empty(n, dtype=wp.int32, device=device)
     return particles
 
 

@@ -88,14 +88,16 @@ def keep_executable(candidates: C, way: Way, tally: Tally) -> C:
 
 def is_executable(candidates: Candidates, way: Way) -> Bool[Array, "n"]:
     """Which of the candidates those are."""
-    left = np.arange(len(candidates))
+    left = np.ones(len(candidates), dtype=bool)
     for can_go in CHECKS.values():
-        left = left[can_go(candidates.select(left), way)]
-    return np.isin(np.arange(len(candidates)), left)
+        left[left] = can_go(candidates.select(left), way)
+    return left
 
 
 def keeps_direction(candidates: Candidates, way: Way) -> Bool[Array, "n"]:
     """Whether each approach is in the cone."""
+    if way.config.approach_angle >= np.pi:
+        return np.ones(len(candidates), dtype=bool)
     return _off_middle(candidates, way)[1] <= way.config.approach_angle + 1e-9
 
 
@@ -144,7 +146,7 @@ def lift_clearance(candidates: Candidates, way: Way) -> Float[Array, "n"]:
     inputs = [space.hand.matching.distance, space.points.points, first, end, way.clearance]
     inputs += [upload(up, wp.vec3, space.device), *poses]
     clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
-    launch(way_clearance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=4)
+    launch(way_clearance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=2)
     return download(clearance).astype(float)
 
 
@@ -189,6 +191,8 @@ def poses_of_way(candidates: Candidates, way: Way) -> Float[Array, "n 3 4 4"]:
 
 def aimed(starts: Candidates, way: Way, centre: Float[Array, "3"]) -> Candidates:
     """Starts of other directions turned about the object's centre to the edge of the cone, by the shortest way."""
+    if way.config.approach_angle >= np.pi:
+        return starts
     axis, angle = _off_middle(starts, way)
     excess = np.maximum(angle - way.config.approach_angle, 0.0)
     turn = se3.from_parts(se3.rotation_exp(axis * excess[:, None]), np.zeros(3))

@@ -23,6 +23,8 @@ DISTANCE_STEP = 0.00025
 """Between levels of distance fields [m]: the last one is 6 cm away."""
 ARRIVAL_STEP = 1 / 250
 """Between levels of closing fractions."""
+SLOWEST = 1.5
+"""Times as long as 99 % of a finger's surface takes: longer than hardly any of it."""
 MARGIN = 2
 """Nodes, so that those on the border of what is swept have neighbours."""
 
@@ -56,6 +58,8 @@ class DeviceHand:
     arrival: FieldStack
     """One grid for each finger of each preshape, gripper frame."""
     arrival_levels: wp.array
+    slowest: Float[np.ndarray, "g"]
+    """For each grid the closing fraction that hardly any part of the finger's surface takes for a metre [1/m]."""
     swept_levels: wp.array
     """Of the distances from what each finger sweeps, on the same grids."""
 
@@ -83,6 +87,7 @@ def upload_gripper(gripper: Gripper, device: str) -> DeviceHand:
         corridor_levels=pack_levels(corridors, DISTANCE_STEP, device),
         arrival=stack_fields(arrivals, device),
         arrival_levels=pack_levels(arrivals, ARRIVAL_STEP, device),
+        slowest=np.array([slowest_of(arrival) for arrival in arrivals]),
         swept_levels=pack_levels([swept_distance(arrival) for arrival in arrivals], DISTANCE_STEP, device),
     )
 
@@ -116,6 +121,14 @@ def swept_grids(preshape: Preshape) -> list[Grid]:
     box = tuple(slice(a, b) for a, b in zip(first, end, strict=True))
     origin = preshape.hand.origin + preshape.hand.spacing * first
     return [Grid(origin, preshape.hand.spacing, arrival[box]) for arrival in preshape.arrival]
+
+
+def slowest_of(arrival: Grid) -> float:
+    """The closing fraction that hardly any part of a finger's surface takes for a metre [1/m]."""
+    swept = np.where(arrival.values < NEVER, arrival.values, np.nan)
+    slowness = np.linalg.norm(np.gradient(swept, arrival.spacing), axis=0)
+    known = slowness[np.isfinite(slowness)]
+    return SLOWEST * float(np.quantile(known, 0.99)) if len(known) else np.inf
 
 
 def swept_distance(arrival: Grid) -> Grid:

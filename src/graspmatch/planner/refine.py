@@ -25,6 +25,8 @@ from graspmatch.types import Gripper
 Array = np.ndarray
 C = TypeVar("C", bound=Candidates)
 
+HARDLY_SURER = 0.99
+"""A search ends where one of its grasps is as sure as this: no step makes it much surer."""
 CLEAR_ENOUGH = 0.99
 """Share of the wanted clearance that counts as it."""
 
@@ -118,6 +120,8 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
     few = slice(config.trials)
     current, scale = judge.retried(graded.select(best), few), np.ones(len(best))
     for _ in range(config.rounds):
+        if current.sureness.max() >= HARDLY_SURER:
+            break
         tried, origin = neighbours(current, scale, judge)
         tried, origin = free_of(tried, origin, judge)
         share = clear_share(tried, judge.trials, judge.space)

@@ -16,7 +16,16 @@ from graspmatch.errors import GraspmatchError
 from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid
-from graspmatch.kernels import reference, warp_arrival, warp_avoid, warp_blocks, warp_fields, warp_match, warp_steps
+from graspmatch.kernels import (
+    reference,
+    warp_arrival,
+    warp_avoid,
+    warp_blocks,
+    warp_collide,
+    warp_fields,
+    warp_match,
+    warp_steps,
+)
 from graspmatch.kernels.blas import blas_on_one_thread
 from graspmatch.kernels.fields import (
     cell_levels,
@@ -453,7 +462,7 @@ class Toy:
         return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
 
     def hand(self):
-        hand = warp_match.Hand()
+        hand = warp_collide.Hand()
         hand.samples = vec3(np.concatenate(self.samples), self.device)
         hand.weights = wp.array(np.concatenate(self.weights), dtype=wp.float32, device=self.device)
         hand.start = wp.array([0, len(self.samples[0])], dtype=wp.int32, device=self.device)
@@ -471,7 +480,7 @@ class Toy:
         return hand
 
     def surroundings(self, cloud, is_target=True, table=None):
-        scene = warp_match.Surroundings()
+        scene = warp_collide.Surroundings()
         scene.blocks, scene.target_blocks = cloud.blocks, cloud.blocks if is_target else 0
         scene.has_table = int(table is not None)
         if table is not None:

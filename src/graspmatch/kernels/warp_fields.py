@@ -106,18 +106,32 @@ def interpolate(stack: FieldStack, g: int, x: wp.vec3) -> float:
 @wp.func
 def interpolate_at(stack: FieldStack, g: int, u: wp.vec3) -> float:
     """The same at a position in node units."""
-    dims = stack.dims[g]
-    v = clamp_units(u, dims)
-    low = low_node(v, dims)
-    f = v - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-    at = stack.start[g] + flat(low, dims)
-    dx = dims[1] * dims[2]
-    dy = dims[2]
-    c00 = wp.lerp(stack.values[at], stack.values[at + dx], f[0])
-    c01 = wp.lerp(stack.values[at + 1], stack.values[at + dx + 1], f[0])
-    c10 = wp.lerp(stack.values[at + dy], stack.values[at + dx + dy], f[0])
-    c11 = wp.lerp(stack.values[at + dy + 1], stack.values[at + dx + dy + 1], f[0])
-    return wp.lerp(wp.lerp(c00, c10, f[1]), wp.lerp(c01, c11, f[1]), f[2]) + stack.spacing * wp.length(u - v)
+    return trilinear(stack.values, stack.start[g], stack.dims[g], stack.spacing, u)
+
+
+@wp.func_native("""
+    float v0 = wp::min(wp::max(u[0], 0.0f), dims[0] - 1.0f);
+    float v1 = wp::min(wp::max(u[1], 0.0f), dims[1] - 1.0f);
+    float v2 = wp::min(wp::max(u[2], 0.0f), dims[2] - 1.0f);
+    int i = wp::min((int)v0, dims[0] - 2);
+    int j = wp::min((int)v1, dims[1] - 2);
+    int k = wp::min((int)v2, dims[2] - 2);
+    float f0 = v0 - i, f1 = v1 - j, f2 = v2 - k;
+    const float* low = values.data + start + (i * dims[1] + j) * dims[2] + k;
+    const float* high = low + dims[1] * dims[2];
+    float c00 = low[0] + f0 * (high[0] - low[0]);
+    float c01 = low[1] + f0 * (high[1] - low[1]);
+    low += dims[2];
+    high += dims[2];
+    float c10 = low[0] + f0 * (high[0] - low[0]);
+    float c11 = low[1] + f0 * (high[1] - low[1]);
+    float c0 = c00 + f1 * (c10 - c00), c1 = c01 + f1 * (c11 - c01);
+    float outside = (u[0] - v0) * (u[0] - v0) + (u[1] - v1) * (u[1] - v1) + (u[2] - v2) * (u[2] - v2);
+    return c0 + f2 * (c1 - c0) + (outside > 0.0f ? spacing * sqrtf(outside) : 0.0f);
+""")
+def trilinear(values: wp.array(dtype=wp.float32), start: int, dims: wp.vec3i, spacing: float, u: wp.vec3) -> float:
+    """That in C++, on plain pointers: arrays of Warp have a stride and look out for indices that count from the end."""
+    ...
 
 
 @wp.func

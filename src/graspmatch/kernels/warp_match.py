@@ -17,58 +17,14 @@ Legend: i particle, g its preshape, R rotation, p its position, r residual, gt a
 
 import warp as wp
 
-from graspmatch.kernels.warp_blocks import (
-    BLOCK,
-    bits_below,
-    block_point,
-    blocks_near,
-    lane_sum,
-    lane_sum_of,
-    lanes,
-    lowest_bit,
-    points_below,
-    points_under,
-)
-from graspmatch.kernels.warp_fields import FieldStack, NearestField, interpolate_at
+from graspmatch.kernels.warp_blocks import lane_sum, lane_sum_of, lanes
+from graspmatch.kernels.warp_collide import FLAGS, Hand, Surroundings, collision_pass
+from graspmatch.kernels.warp_fields import NearestField
 
-FLAGS = f"{wp.config.cpu_compiler_flags or '-march=native'} -mreassociate"
-"""For the CPU: sums of floats may be vectorised, and so be added up in another order."""
 wp.set_module_options({"enable_backward": False, "fast_math": False, "cpu_compiler_flags": FLAGS})
 
 NONE = wp.constant(1.0e30)
 """Loss of a particle that is not, or never was, free."""
-
-
-@wp.struct
-class Hand:
-    """What the matching asks of all preshapes: samples one behind the other, fields as stacks."""
-
-    samples: wp.array(dtype=wp.vec3)
-    weights: wp.array(dtype=wp.float32)
-    start: wp.array(dtype=wp.int32)
-    count: wp.array(dtype=wp.int32)
-    tool_centre_point: wp.array(dtype=wp.vec3)
-    inverse_inertia: wp.array(dtype=wp.mat33)
-    distance: FieldStack
-    distance_step: wp.float32
-    """Between its levels [m]."""
-    nearest_sample: wp.array(dtype=wp.int32)
-    outline_start: wp.array(dtype=wp.int32)
-    """First block of its corners."""
-    outline_count: wp.array(dtype=wp.int32)
-    """Number of its corners."""
-
-
-@wp.struct
-class Surroundings:
-    """C of the paper but for the coordinates of its points: so many blocks of them, first those of the target, then
-    those of obstacles, and the table as the plane normal . x = offset."""
-
-    blocks: wp.int32
-    target_blocks: wp.int32
-    normal: wp.vec3
-    offset: wp.float32
-    has_table: wp.int32
 
 
 @wp.struct
@@ -202,95 +158,6 @@ def nearest_residual(
         rz = wp.where(is_nearer, az, rz)
         least = wp.where(is_nearer, square, least)
     return rx, ry, rz, least
-
-
-@wp.func
-def collision_pass(
-    hand: Hand,
-    scene: Surroundings,
-    points: wp.array(dtype=wp.float32),
-    balls: wp.array(dtype=wp.float32),
-    outline: wp.array(dtype=wp.float32),
-    levels: wp.array(dtype=wp.int32),
-    g: int,
-    p: wp.vec3,
-    R: wp.mat33,
-    lane: int,
-):
-    """Eqs. (12) and (18): the scene in the hand's frame, its points inside the hand, and the pull of a surface of the
-    hand towards each. For the target it is the inner surface, so that the object ends up between the fingers. Obstacles
-    and table must get out of the hand where they came in: the nearest surface, the corner that is below."""
-    gt = wp.vec3(0.0, 0.0, 0.0)
-    gw = wp.vec3(0.0, 0.0, 0.0)
-    colliding = int(0)
-    field = hand.distance
-    A = wp.transpose(R) / field.spacing
-    b = -(A * p) - field.origin[g] / field.spacing
-    group = int(0)
-    while group * BLOCK < scene.blocks:
-        near = blocks_near(0.0, 0.0, field, levels, hand.distance_step, g, A, b, balls, group, scene.blocks)
-        while near != wp.uint32(0):
-            block = group * BLOCK + lowest_bit(near)
-            near = near & (near - wp.uint32(1))
-            mask = points_below(1, field, levels, g, A, b, points, block)
-            while mask != wp.uint32(0):
-                x = block_point(points, block, lowest_bit(mask))
-                mask = mask & (mask - wp.uint32(1))
-                u = A * x + b
-                depth = -interpolate_at(field, g, u)
-                if depth > 0.0:
-                    lever = x - p
-                    if block < scene.target_blocks:
-                        lever = R * nearest_sample(hand, g, u)
-                    else:
-                        lever += depth * (R * outwards(field, g, u))
-                    residual = p + lever - x
-                    gt += residual
-                    gw += wp.cross(lever, residual)
-                    colliding += 1
-        group += 1
-    if scene.has_table != 0:
-        up = wp.transpose(R) * scene.normal
-        level = scene.offset - wp.dot(scene.normal, p)  # of the table above the pivot
-        corners = hand.outline_count[g]
-        block = lane
-        while block * BLOCK < corners:
-            corner = hand.outline_start[g] + block
-            mask = points_under(up, level, outline, corner) & bits_below(corners - block * BLOCK)
-            while mask != wp.uint32(0):
-                s = block_point(outline, corner, lowest_bit(mask))
-                mask = mask & (mask - wp.uint32(1))
-                height = wp.dot(up, s) - level
-                gt += height * scene.normal
-                gw += height * wp.cross(R * s, scene.normal)
-                colliding += 1
-            block += lanes()
-    colliding = int(lane_sum(float(colliding)))
-    scale = 1.0 / float(wp.max(colliding, 1))
-    return scale * lane_sum_of(gt), scale * lane_sum_of(gw), colliding
-
-
-@wp.func
-def nearest_sample(hand: Hand, g: int, u: wp.vec3) -> wp.vec3:
-    """The sample nearest to the node that is nearest to a position in node units."""
-    dims = hand.distance.dims[g]
-    node = (int(u[0] + 0.5) * dims[1] + int(u[1] + 0.5)) * dims[2] + int(u[2] + 0.5)
-    return hand.samples[hand.start[g] + hand.nearest_sample[hand.distance.start[g] + node]]
-
-
-@wp.func
-def outwards(stack: FieldStack, g: int, u: wp.vec3) -> wp.vec3:
-    """Direction in which a distance field grows, at a position in node units."""
-    dx = wp.vec3(0.5, 0.0, 0.0)
-    dy = wp.vec3(0.0, 0.5, 0.0)
-    dz = wp.vec3(0.0, 0.0, 0.5)
-    return wp.normalize(
-        wp.vec3(
-            interpolate_at(stack, g, u + dx) - interpolate_at(stack, g, u - dx),
-            interpolate_at(stack, g, u + dy) - interpolate_at(stack, g, u - dy),
-            interpolate_at(stack, g, u + dz) - interpolate_at(stack, g, u - dz),
-        )
-    )
 
 
 @wp.func

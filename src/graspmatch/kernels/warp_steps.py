@@ -6,8 +6,9 @@ Legend as in `warp_match`: i, j particles, g their preshape, p position, q rotat
 import warp as wp
 
 from graspmatch.kernels.warp_blocks import lanes
+from graspmatch.kernels.warp_collide import FLAGS, Hand, Surroundings
 from graspmatch.kernels.warp_fields import NearestField, nearest_index
-from graspmatch.kernels.warp_match import FLAGS, NONE, Hand, Particles, Surroundings, Terms, hand_turn, slope_at
+from graspmatch.kernels.warp_match import NONE, Particles, Terms, hand_turn, slope_at
 
 wp.set_module_options({"enable_backward": False, "fast_math": False, "cpu_compiler_flags": FLAGS})
 

@@ -17,7 +17,7 @@ from graspmatch.config import MatchingConfig
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import extent, voxel_downsample
 from graspmatch.geometry.thin import thinned
-from graspmatch.kernels import warp_match, warp_steps
+from graspmatch.kernels import warp_collide, warp_match, warp_steps
 from graspmatch.kernels.fields import BlockCloud, covering_nearest_field, in_block_order, upload_blocks
 from graspmatch.kernels.launch import download, launch, upload
 from graspmatch.kernels.warp_blocks import LANES
@@ -69,7 +69,7 @@ class Problem:
     spacing: float
     """Of R and of its nearest-neighbour field [m]."""
     target: NearestField
-    surroundings: warp_match.Surroundings
+    surroundings: warp_collide.Surroundings
     """C, in the object frame ..."""
     cloud: BlockCloud
     """... and its points."""
@@ -296,9 +296,9 @@ def target_spacing(points: Float[np.ndarray, "n 3"], voxel_size: float) -> float
     return max(min(voxel_size, longest / FEWEST_VOXELS), (longest + 2 * FIELD_MARGIN) / FIELD_NODES)
 
 
-def surroundings_of(scene: Scene, cloud: BlockCloud) -> warp_match.Surroundings:
+def surroundings_of(scene: Scene, cloud: BlockCloud) -> warp_collide.Surroundings:
     """C, but for its points: the table is the plane that it is."""
-    surroundings = warp_match.Surroundings()
+    surroundings = warp_collide.Surroundings()
     surroundings.blocks = cloud.blocks
     surroundings.target_blocks = cloud.ends[0]
     surroundings.has_table = int(scene.table is not None)

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from graspmatch.geometry.cloud import hull_corners
 from graspmatch.geometry.grid import Grid
-from graspmatch.kernels import warp_match
+from graspmatch.kernels import warp_collide
 from graspmatch.kernels.fields import in_blocks, pack_levels, stack_fields
 from graspmatch.kernels.launch import upload
 from graspmatch.kernels.warp_fields import NEVER, FieldStack
@@ -33,7 +33,7 @@ MARGIN = 2
 class DeviceHand:
     """All preshapes of a gripper. Matching works about each preshape's pivot, its tool centre point."""
 
-    matching: warp_match.Hand
+    matching: warp_collide.Hand
     samples: Int[np.ndarray, "p"]
     """Number of samples of each preshape that are matched: the first ones, those that have weight."""
     starts: Int[np.ndarray, "p"]
@@ -92,10 +92,10 @@ def upload_gripper(gripper: Gripper, device: str) -> DeviceHand:
     )
 
 
-def _matching_hand(preshapes: tuple[Preshape, ...], device: str) -> warp_match.Hand:
+def _matching_hand(preshapes: tuple[Preshape, ...], device: str) -> warp_collide.Hand:
     samples = [preshape.samples.points - preshape.tool_centre_point for preshape in preshapes]
     inertia = [inverse_inertia(s, p.weights) for s, p in zip(samples, preshapes, strict=True)]
-    hand = warp_match.Hand()
+    hand = warp_collide.Hand()
     hand.samples = wp.array(np.concatenate(samples), dtype=wp.vec3, device=device)
     hand.weights = wp.array(np.concatenate([p.weights for p in preshapes]), dtype=wp.float32, device=device)
     hand.start, _ = _spans(samples, device)

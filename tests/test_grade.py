@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +14,7 @@ from graspmatch.geometry import se3
 from graspmatch.gripper.load import load_gripper
 from graspmatch.kernels.warp_hold import LOST_MARGIN
 from graspmatch.planner.avoid import point_clearance, table_clearance, upload_space
-from graspmatch.planner.candidates import Candidates, Closed
+from graspmatch.planner.candidates import Candidates, Closed, Graded
 from graspmatch.planner.close import contact_joints
 from graspmatch.planner.grade import (
     CALIBRATION,
@@ -60,6 +60,11 @@ def judge(franka) -> Judge:
     scene = box_scene()
     problem = prepare(scene, franka, CONFIG.matching, np.random.default_rng(0), "cpu")
     return judge_of(scene, franka, upload_space(scene, franka, "cpu"), problem, CONFIG, "cpu")
+
+
+def without_verdict(graded: Graded) -> Closed:
+    """The grasps as they come to be judged."""
+    return Closed(**{entry.name: getattr(graded, entry.name) for entry in fields(Closed)})
 
 
 def around(judge: Judge, count: int, seed: int = 0, spread: float = 1.0) -> Closed:
@@ -287,7 +292,7 @@ def test_refining_makes_the_surest_surer(judge):
     graded = judge.grade(around(judge, 10, spread=0.5), judge.first)
     refined = refine(graded, replace(judge, config=never_enough))
     assert len(refined) == len(graded)
-    before, after = (judge.grade(g.as_closed(), slice(None)).sureness for g in (graded, refined))
+    before, after = (judge.grade(without_verdict(g), slice(None)).sureness for g in (graded, refined))
     assert after.max() >= before.max()
     assert np.sort(after)[-CONFIG.refining.count :].mean() > np.sort(before)[-CONFIG.refining.count :].mean()
     moved = ~np.isin(refined.T_world_gripper[:, 0, 3], graded.T_world_gripper[:, 0, 3])
@@ -316,7 +321,7 @@ def test_confirming_tries_all_that_lead_as_often_as_wanted(judge):
     graded = judge.grade(around(judge, 20), judge.first)
     confirmed = confirm(graded, judge)
     np.testing.assert_array_equal(confirmed.T_world_gripper, graded.T_world_gripper)
-    every = judge.grade(graded.as_closed(), slice(None))
+    every = judge.grade(without_verdict(graded), slice(None))
     leaders = np.argsort(-confirmed.sureness, kind="stable")[: CONFIG.grip.leaders]
     np.testing.assert_allclose(confirmed.confidence[leaders], every.confidence[leaders])
     np.testing.assert_allclose(confirmed.held_share[leaders], every.held_share[leaders])

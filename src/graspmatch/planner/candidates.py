@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -89,7 +89,3 @@ class Graded(Closed):
         """Share of such grasps that arrive, find what they are to touch, and hold, though some come a little
         displaced."""
         return self.clear_share * self.seen_share * self.confidence
-
-    def as_closed(self) -> Closed:
-        """Without the verdict."""
-        return Closed(**{entry.name: getattr(self, entry.name) for entry in fields(Closed)})

@@ -117,8 +117,9 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
     halved where none of them helps. Every pose is judged under the same trials; one trial tells which need all.
     """
     config = judge.config.refining
-    few = slice(config.trials)
+    few, others = slice(config.trials), slice(config.trials, None)
     current, scale = judge.retried(graded.select(best), few), np.ones(len(best))
+    has_moved = np.zeros(len(best), dtype=bool)
     for _ in range(config.rounds):
         if current.sureness.max() >= HARDLY_SURER:
             break
@@ -135,9 +136,15 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
             found = pooled(found, judge.retried(found, slice(1, config.trials)))
         current, improved = surest(current, found, origin)
         scale = np.where(improved, scale, scale / 2)
-    final = judge.grade(current.as_closed(), slice(None), share=current.clear_share)
-    refined, _ = surest(graded.select(best), final, np.arange(len(best)))
-    return put(graded, best, refined)
+        has_moved |= improved
+    moved = np.flatnonzero(has_moved)
+    if not len(moved):
+        return graded
+    final = current.select(moved)
+    if config.trials < judge.config.grip.trials:
+        final = pooled(final, judge.retried(final, others))
+    refined, _ = surest(graded.select(best[moved]), final, np.arange(len(moved)))
+    return put(graded, best[moved], refined)
 
 
 def confirm(graded: Graded, judge: Judge) -> Graded:

@@ -300,7 +300,7 @@ def test_refining_makes_the_surest_surer(judge):
     assert np.all(refined.clearance[moved] > 0.98 * CONFIG.collision.clearance)
     confirmed = refined.tries == CONFIG.grip.trials
     assert confirmed.sum() >= CONFIG.grip.leaders
-    np.testing.assert_allclose(after[confirmed], refined.sureness[confirmed], rtol=0.05)
+    np.testing.assert_allclose(after[confirmed], refined.sureness[confirmed], rtol=1e-6)  # judged as they now are
 
 
 def test_a_grasp_that_is_sure_enough_is_not_refined(judge):

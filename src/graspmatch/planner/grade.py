@@ -141,6 +141,15 @@ def retried(
     return replace(tried, tries=np.full(len(graded), len(trials)), confidence=sure)
 
 
+def restood(
+    graded: Graded, trials: Trials, target: Touchable, gripper: Gripper, config: GripConfig, device: str
+) -> Graded:
+    """The same grasps with standing margins of their own, where those of grasps nearby stood in for them."""
+    standing = standing_margin(graded, trials, target, gripper, config, device)
+    sure = confidence(graded.margin, graded.held_share, graded.final_loss, standing, graded.contacts)
+    return replace(graded, standing=standing, confidence=sure)
+
+
 def try_all(
     closed: Closed, trials: Trials, target: Touchable, gripper: Gripper, config: GripConfig, device: str
 ) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:

@@ -14,7 +14,7 @@ from graspmatch.geometry import se3
 from graspmatch.planner.avoid import Space, point_clearance, table_clearance_of_way, wider_preshapes
 from graspmatch.planner.candidates import Candidates, Closed, Free, Graded
 from graspmatch.planner.close import contact_joints, meet_object
-from graspmatch.planner.grade import Trials, clear_share, draw_trials, grade, pooled, retried
+from graspmatch.planner.grade import Trials, clear_share, draw_trials, grade, pooled, restood, retried
 from graspmatch.planner.hold import Touchable, touchable
 from graspmatch.planner.match import Problem, measure
 from graspmatch.planner.path import Reach, Way, is_executable, way_of
@@ -59,6 +59,10 @@ class Judge:
     def retried(self, graded: Graded, trials: slice) -> Graded:
         """How sure the same grasps are after some of the trials."""
         return retried(graded, self.trials[trials], self.target, self.gripper, self.config.grip, self.device)
+
+    def restood(self, graded: Graded) -> Graded:
+        """The same grasps with standing margins of their own."""
+        return restood(graded, self.trials, self.target, self.gripper, self.config.grip, self.device)
 
     @property
     def first(self) -> slice:
@@ -140,7 +144,7 @@ def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:
     moved = np.flatnonzero(has_moved)
     if not len(moved):
         return graded
-    final = current.select(moved)
+    final = judge.restood(current.select(moved))
     if config.trials < judge.config.grip.trials:
         final = pooled(final, judge.retried(final, others))
     refined, _ = surest(graded.select(best[moved]), final, np.arange(len(moved)))

@@ -39,6 +39,7 @@ from graspmatch.kernels.fields import (
 )
 from graspmatch.kernels.launch import launch, thread_count
 from graspmatch.kernels.warp_fields import NEVER
+from graspmatch.kernels.warp_queue import Queue, take
 from graspmatch.planner.upload import inverse_inertia, swept_distance
 
 
@@ -371,7 +372,7 @@ def test_first_contact_is_the_earliest_of_all_points(rng, device):
 
 @wp.kernel
 def arrivals_one_by_one_and_at_once(
-    first: int,
+    queue: Queue,
     stack: warp_fields.FieldStack,
     A: wp.mat33,
     b: wp.vec3,
@@ -380,7 +381,9 @@ def arrivals_one_by_one_and_at_once(
     t_out: wp.array2d(dtype=wp.float32),
     slowness_out: wp.array2d(dtype=wp.float32),
 ):
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     for e in range(listed.shape[0]):
         k = listed[e]
         x = warp_blocks.block_point(points, k // 32, k % 32)

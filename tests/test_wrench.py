@@ -12,6 +12,7 @@ from graspmatch.geometry import se3
 from graspmatch.kernels import reference, warp_wrench
 from graspmatch.kernels.launch import launch
 from graspmatch.kernels.reference import Grip
+from graspmatch.kernels.warp_queue import Queue, take
 from graspmatch.kernels.warp_wrench import REACTION, Contacts, Pressure, lay_out, least_wrench, wrench_margin
 from graspmatch.planner.hold import DESCENTS, DIRECTIONS, SEARCHES, room_for_contacts
 
@@ -23,7 +24,7 @@ ALONE, SHARED = [0, 1], [0, 0]
 
 @wp.kernel
 def shortest(
-    first: int,
+    queue: Queue,
     contacts: Contacts,
     pressure: Pressure,
     tolerance: float,
@@ -32,7 +33,9 @@ def shortest(
     wrench_out: wp.array(dtype=wp.spatial_vector),
 ):
     """What `least_wrench` finds for each grasp."""
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     load = wp.spatial_vector(load_in[i], wp.vec3(0.0, 0.0, 0.0))
     lay_out(contacts, pressure, i)
     wrench_out[i] = least_wrench(contacts, pressure, i, load, load, tolerance, steps)

@@ -1,8 +1,8 @@
-"""Where kernels run: device names, and launches cut into chunks so that the CPU uses all its cores.
+"""Where kernels run: device names, and launches that use all cores of the CPU.
 
-A Warp launch on the CPU runs on one thread but releases the interpreter lock, so chunks of the same launch run side by
-side on a pool. Every kernel launched this way takes the index of its first element as first argument, and writes only
-its own elements: results do not depend on the number of chunks.
+A Warp launch on the CPU runs on one thread but releases the interpreter lock, so that several run side by side. Every
+kernel launched this way takes its elements from a `Queue`, its first argument, and writes only those: results do not
+depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import functools
-import itertools
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -22,6 +21,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from graspmatch.errors import GraspmatchError
+from graspmatch.kernels.warp_queue import Queue
 
 
 @contextlib.contextmanager
@@ -94,47 +94,38 @@ def download(values: wp.array) -> np.ndarray:
 
 
 def launch(
-    kernel: wp.Kernel,
-    dim: int,
-    inputs: Sequence[Any],
-    outputs: Sequence[Any],
-    device: str,
-    *,
-    lanes: int = 1,
-    chunks: int = 1,
+    kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence[Any], device: str, *, lanes: int = 1
 ) -> None:
-    """Run `kernel(first, *inputs, *outputs)` for elements 0 to `dim`, on all cores or on the GPU.
+    """Run `kernel(queue, *inputs, *outputs)` for elements 0 to `dim`, on all cores or on the GPU.
 
     lanes: threads for each element on the GPU.
-    chunks: pieces that each CPU thread's share is cut into, where elements differ much in what they cost.
     """
     if dim == 0:
         return
     if device != "cpu":
-        wp.launch(kernel, dim * lanes, [0, *inputs], outputs, device=device, block_dim=128)
+        wp.launch(kernel, dim * lanes, [Queue(), *inputs], outputs, device=device, block_dim=128)
         return
     threads = min(thread_count(), dim)
-    pieces = min(threads * chunks, dim)
-    bounds = itertools.pairwise(dim * i // pieces for i in range(pieces + 1))
-    first = wp.launch(kernel, dim, [0, *inputs], outputs, device=device, record_cmd=True)
-    others = [_copy_of(first) for _ in range(threads - 1)]
-    waiting = iter(list(bounds))  # of which every thread takes the next as soon as it is free
-    jobs = [_pool(threads).submit(_run_all, command, waiting) for command in others]
-    _run_all(first, waiting)
+    taken = np.zeros(dim, dtype=np.uint8)
+    queues = [_queue(taken, dim * k // threads) for k in range(threads)]
+    first = wp.launch(kernel, dim, [queues[0], *inputs], outputs, device=device, record_cmd=True)
+    jobs = [_pool(threads).submit(_with_queue(first, queue).launch) for queue in queues[1:]]
+    first.launch()
     for job in jobs:
         if not job.cancel():  # a thread that has not woken by now finds nothing left
             job.result()
 
 
-def _copy_of(command: wp.Launch) -> wp.Launch:
-    """The same launch with parameters of its own: packing them again takes ten times as long."""
+def _queue(taken: np.ndarray, begin: int) -> Queue:
+    """For a thread that begins there."""
+    queue = Queue()
+    queue.begin, queue.size, queue.taken = begin, len(taken), taken.ctypes.data
+    return queue
+
+
+def _with_queue(command: wp.Launch, queue: Queue) -> wp.Launch:
+    """The same launch with another queue: packing its parameters again takes ten times as long."""
     twin = copy.copy(command)
     twin.params, twin.fwd_args = list(command.params), list(command.fwd_args)
+    twin.set_param_at_index(0, queue)
     return twin
-
-
-def _run_all(command: wp.Launch, bounds: Iterator[tuple[int, int]]) -> None:
-    for begin, end in bounds:
-        command.set_dim(end - begin)
-        command.set_param_at_index(0, begin)
-        command.launch()

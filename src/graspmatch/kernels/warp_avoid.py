@@ -30,6 +30,7 @@ from graspmatch.kernels.warp_fields import (
     to_node_units,
     turn_of,
 )
+from graspmatch.kernels.warp_queue import Queue, take
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -92,7 +93,7 @@ def way_back(
 
 @wp.kernel
 def back_off(
-    first: int,
+    queue: Queue,
     corridor: FieldStack,
     points: wp.array(dtype=wp.float32),
     balls: wp.array(dtype=wp.float32),
@@ -114,7 +115,9 @@ def back_off(
     """Of each candidate's preshape and the wider ones the narrowest with the smallest way back, at most `most`; none is
     looked at beyond the first that needs less than a step. `least_in` has the way that each preshape needs in any case,
     `least_out` the smallest of those that were looked at."""
-    i = first + wp.tid() / lanes()
+    i = take(queue, wp.tid() / lanes())
+    if i < 0:
+        return
     lane = wp.tid() % lanes()
     back = approach / corridor.spacing
     g = preshape_in[i]
@@ -140,7 +143,7 @@ def back_off(
 
 @wp.kernel
 def least_distance(
-    first: int,
+    queue: Queue,
     corridor: FieldStack,
     points: wp.array(dtype=wp.float32),
     balls: wp.array(dtype=wp.float32),
@@ -152,7 +155,9 @@ def least_distance(
     clearance_out: wp.array(dtype=wp.float32),
 ):
     """Smallest distance of the scene to the hand and its way in."""
-    i = first + wp.tid() / lanes()
+    i = take(queue, wp.tid() / lanes())
+    if i < 0:
+        return
     g = preshape_in[i]
     A = to_node_units(corridor, pose_in[i])
     b = node_offset(corridor, g, A, pose_in[i])
@@ -174,7 +179,7 @@ def least_distance(
 
 @wp.kernel
 def clear_ways(
-    first: int,
+    queue: Queue,
     corridor: FieldStack,
     points: wp.array(dtype=wp.float32),
     balls: wp.array(dtype=wp.float32),
@@ -195,7 +200,9 @@ def clear_ways(
 
     `corners` are those of the hull of each preshape's open hand, `table` its height along `up`.
     """
-    i = first + wp.tid() / lanes()
+    i = take(queue, wp.tid() / lanes())
+    if i < 0:
+        return
     g = preshape_in[i]
     limit = level_of(clearance, level_step)
     count = int(0)
@@ -235,7 +242,7 @@ def is_near(stack: FieldStack, g: int, u: wp.vec3, distance: float) -> bool:
 
 @wp.kernel
 def first_contact(
-    first: int,
+    queue: Queue,
     fingers: int,
     arrival: FieldStack,
     points: wp.array(dtype=wp.float32),
@@ -252,7 +259,9 @@ def first_contact(
 ):
     """For each finger the closing fraction at which it meets the first scene point; `NEVER` if there is none. `swept`
     has the levels of how far each node is from what the finger sweeps."""
-    i = first + wp.tid() / lanes()
+    i = take(queue, wp.tid() / lanes())
+    if i < 0:
+        return
     A = to_node_units(arrival, pose_in[i])
     g = preshape_in[i] * fingers
     b = node_offset(arrival, g, A, pose_in[i])  # the grids of a preshape's fingers lie alike

@@ -6,19 +6,22 @@ Legend: x node, l link, f finger, k closing step, u closing fraction, s way back
 import warp as wp
 
 from graspmatch.kernels.warp_fields import NEVER, FieldStack, interpolate
+from graspmatch.kernels.warp_queue import Queue, take
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
 @wp.kernel
 def mesh_distance(
-    first: int,
+    queue: Queue,
     mesh: wp.uint64,
     x_in: wp.array(dtype=wp.vec3),
     distance_out: wp.array(dtype=wp.float32),
 ):
     """Signed distance to a triangle soup, the sign by its winding number: right for open and overlapping meshes."""
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     x = x_in[i]
     query = wp.mesh_query_point_sign_winding_number(mesh, x, 1.0e6, 2.0, 0.5)
     closest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
@@ -38,20 +41,22 @@ def links_distance(
 
 @wp.kernel
 def hand_distance(
-    first: int,
+    queue: Queue,
     stack: FieldStack,
     T_link_gripper: wp.array(dtype=wp.mat44),
     link: wp.array(dtype=wp.int32),
     x_in: wp.array(dtype=wp.vec3),
     distance_out: wp.array(dtype=wp.float32),
 ):
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     distance_out[i] = links_distance(stack, T_link_gripper, 0, link, x_in[i])
 
 
 @wp.kernel
 def corridor_distance(
-    first: int,
+    queue: Queue,
     hand: FieldStack,
     approach: wp.vec3,
     reach: float,
@@ -60,7 +65,9 @@ def corridor_distance(
     distance_out: wp.array(dtype=wp.float32),
 ):
     """Smallest distance of x to the hand anywhere on its straight way in."""
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     distance = float(1.0e30)
     s = float(0.0)
     while s <= reach:
@@ -73,7 +80,7 @@ def corridor_distance(
 
 @wp.kernel
 def closing_arrival(
-    first: int,
+    queue: Queue,
     stack: FieldStack,
     T_link_gripper: wp.array(dtype=wp.mat44),
     links: int,
@@ -83,7 +90,9 @@ def closing_arrival(
     arrival_out: wp.array(dtype=wp.float32),
 ):
     """Closing fraction at which the finger made of the links `link` first covers x."""
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     x = x_in[i]
     arrival = float(NEVER)
     before = float(0.0)
@@ -101,7 +110,7 @@ def closing_arrival(
 
 @wp.kernel
 def cast_rays(
-    first: int,
+    queue: Queue,
     mesh: wp.uint64,
     origin_in: wp.array(dtype=wp.vec3),
     direction_in: wp.array(dtype=wp.vec3),
@@ -109,7 +118,9 @@ def cast_rays(
     face_out: wp.array(dtype=wp.int32),
 ):
     """Distance [m] to the first hit of each ray (unit direction) and its face; -1 where nothing is hit."""
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     query = wp.mesh_query_ray(mesh, origin_in[i], direction_in[i], 10.0)
     reach_out[i] = -1.0
     face_out[i] = -1

@@ -5,6 +5,8 @@ Elements of a launch are pixels, row by row. Positions in the world frame [m].
 
 import warp as wp
 
+from graspmatch.kernels.warp_queue import Queue, take
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 NOTHING = wp.constant(-1)
@@ -14,7 +16,7 @@ FARTHEST = wp.constant(100.0)
 
 @wp.kernel
 def see(
-    first: int,
+    queue: Queue,
     mesh: wp.uint64,
     face_body: wp.array(dtype=wp.int32),
     R_world_camera: wp.mat33,
@@ -27,7 +29,9 @@ def see(
 ):
     """Along the ray (x, y, 1) of each pixel: distance along the camera's z axis to the first face, zero for nothing;
     the body of that face; and the cosine between ray and normal, without its sign: scans are open."""
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     depth_out[i] = 0.0
     body_out[i] = NOTHING
     facing_out[i] = 0.0

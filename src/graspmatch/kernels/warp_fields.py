@@ -5,6 +5,8 @@ Legend: x point, u position in node units, g index of a grid in its stack, i, j,
 
 import warp as wp
 
+from graspmatch.kernels.warp_queue import Queue, take
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 POSITIVE = wp.constant(0x7FFFFFFF)
@@ -227,7 +229,7 @@ def clear_row(
 
 @wp.kernel
 def sweep_along(
-    first: int,
+    queue: Queue,
     dims: wp.vec3i,
     count: int,
     u: wp.array(dtype=wp.float32),
@@ -241,7 +243,9 @@ def sweep_along(
     `u` has the points in node units, all x, then all y and z; the last of them is farther than all, and stands for
     none.
     """
-    row = first + wp.tid()
+    row = take(queue, wp.tid())
+    if row < 0:
+        return
     x = float(row / dims[1])
     y = float(row % dims[1])
     clear_row(index_out, square_out, row, dims[2], count - 1)
@@ -267,7 +271,7 @@ def sweep_along(
 
 @wp.kernel
 def sweep_across(
-    first: int,
+    queue: Queue,
     axis: int,
     dims: wp.vec3i,
     count: int,
@@ -277,7 +281,9 @@ def sweep_across(
     square_out: wp.array(dtype=wp.int32),
 ):
     """The other passes, along x (axis 0) and y (axis 1): from row to row."""
-    row = first + wp.tid()
+    row = take(queue, wp.tid())
+    if row < 0:
+        return
     at = row / dims[1]
     stride = dims[1]
     if axis == 1:
@@ -299,7 +305,7 @@ def sweep_across(
 
 @wp.kernel
 def refine_nearest(
-    first: int,
+    queue: Queue,
     dims: wp.vec3i,
     count: int,
     u: wp.array(dtype=wp.float32),
@@ -309,7 +315,9 @@ def refine_nearest(
 ):
     """Every node of a row along z also tries the candidates of its 26 neighbours, which mends most of what rounding
     lost."""
-    row = first + wp.tid()
+    row = take(queue, wp.tid())
+    if row < 0:
+        return
     clear_row(index_out, square_out, row, dims[2], count - 1)
     i = wp.max(row / dims[1] - 1, 0)
     while i < wp.min(row / dims[1] + 2, dims[0]):
@@ -322,18 +330,24 @@ def refine_nearest(
 
 
 @wp.kernel
-def query_nearest(first: int, field: NearestField, x_in: wp.array(dtype=wp.vec3), index_out: wp.array(dtype=wp.int32)):
-    i = first + wp.tid()
+def query_nearest(
+    queue: Queue, field: NearestField, x_in: wp.array(dtype=wp.vec3), index_out: wp.array(dtype=wp.int32)
+):
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     index_out[i] = nearest_index(field, x_in[i])
 
 
 @wp.kernel
 def query_stack(
-    first: int,
+    queue: Queue,
     stack: FieldStack,
     grid_in: wp.array(dtype=wp.int32),
     x_in: wp.array(dtype=wp.vec3),
     value_out: wp.array(dtype=wp.float32),
 ):
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     value_out[i] = interpolate(stack, grid_in[i], x_in[i])

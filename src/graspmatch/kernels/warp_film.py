@@ -6,6 +6,7 @@ gathers light; and the light on the floor, which nearly always is smooth, comes 
 
 import warp as wp
 
+from graspmatch.kernels.warp_queue import Queue, take
 from graspmatch.kernels.warp_rays import (
     BACKGROUND,
     FAR,
@@ -48,25 +49,29 @@ class FloorLattice:
 
 @wp.kernel
 def move_vertices(
-    first: int,
+    queue: Queue,
     vertex_body: wp.array(dtype=int),
     vertices: wp.array(dtype=wp.vec3),
     T_world_body: wp.array(dtype=wp.mat44),
     vertices_world_out: wp.array(dtype=wp.vec3),
 ):
-    i = wp.tid() + first
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     vertices_world_out[i] = wp.transform_point(T_world_body[vertex_body[i]], vertices[i])
 
 
 @wp.kernel
 def turn_normals(
-    first: int,
+    queue: Queue,
     face_body: wp.array(dtype=int),
     normals: wp.array2d(dtype=wp.vec3),
     T_world_body: wp.array(dtype=wp.mat44),
     normals_world_out: wp.array2d(dtype=wp.vec3),
 ):
-    i = wp.tid() + first
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     T = T_world_body[face_body[i]]
     for k in range(3):
         normals_world_out[i, k] = wp.transform_vector(T, normals[i, k])
@@ -74,14 +79,16 @@ def turn_normals(
 
 @wp.kernel
 def light_floor(
-    first: int,
+    queue: Queue,
     mesh: wp.uint64,
     setting: Setting,
     lattice: FloorLattice,
     light_out: wp.array2d(dtype=wp.vec2),
 ):
     """Light that a sixteenth of all patterns finds from each node: any 4 x 4 nodes hold them all."""
-    element = wp.tid() + first
+    element = take(queue, wp.tid())
+    if element < 0:
+        return
     i = element % lattice.count
     j = element // lattice.count
     offset = float(i) * lattice.across + float(j) * lattice.along
@@ -95,13 +102,15 @@ def light_floor(
 
 @wp.kernel
 def soften_floor(
-    first: int,
+    queue: Queue,
     lattice: FloorLattice,
     light_in: wp.array2d(dtype=wp.vec2),
     light_out: wp.array2d(dtype=wp.vec2),
 ):
     """Mean of 4 x 4 nodes, valid half a node before the node that it is written to."""
-    element = wp.tid() + first
+    element = take(queue, wp.tid())
+    if element < 0:
+        return
     i = element % lattice.count
     j = element // lattice.count
     total = wp.vec2()
@@ -115,7 +124,7 @@ def soften_floor(
 
 @wp.kernel
 def see_bodies(
-    first: int,
+    queue: Queue,
     tiles: wp.array(dtype=wp.vec2i),
     mesh: wp.uint64,
     face_body: wp.array(dtype=int),
@@ -128,7 +137,9 @@ def see_bodies(
     light_out: wp.array2d(dtype=wp.vec2),
 ):
     """What the four samples of the pixels of some tiles see, bodies first, and the light at the first sample."""
-    element = wp.tid() + first
+    element = take(queue, wp.tid())
+    if element < 0:
+        return
     tile = tiles[element // (TILE * TILE)]
     column = tile[0] * TILE + element % TILE
     row = tile[1] * TILE + element // TILE % TILE
@@ -200,7 +211,7 @@ def compressed(colour: wp.vec3) -> wp.vec3:
 
 @wp.kernel
 def paint(
-    first: int,
+    queue: Queue,
     view: View,
     setting: Setting,
     body_rgb: wp.array(dtype=wp.vec3),
@@ -215,7 +226,10 @@ def paint(
     image_out: wp.array3d(dtype=wp.uint8),
 ):
     """Pixels from their four samples, of which those without a body share one backdrop."""
-    at = place(wp.tid() + first, view.width, view.height, view.row_stride)
+    element = take(queue, wp.tid())
+    if element < 0:
+        return
+    at = place(element, view.width, view.height, view.row_stride)
     total = wp.vec3()
     samples = float(0.0)
     if is_tile_seen[at[1] // TILE, at[0] // TILE] != wp.uint8(0):

@@ -11,6 +11,7 @@ import warp as wp
 
 from graspmatch.kernels.warp_contacts import touch_finger, touch_palm, touch_table
 from graspmatch.kernels.warp_fields import NEVER, place_of, turn_of
+from graspmatch.kernels.warp_queue import Queue, take
 from graspmatch.kernels.warp_reach import Body, Hand, Reached, gather
 from graspmatch.kernels.warp_wrench import Contacts, Pressure, lay_out, least_wrench, margin_of
 
@@ -91,7 +92,7 @@ def next_to_touch(i: int, pressing: int, pressure: Pressure, fraction: wp.array2
 
 @wp.kernel
 def hold(
-    first: int,
+    queue: Queue,
     body: Body,
     hand: Hand,
     pressure: Pressure,
@@ -108,7 +109,9 @@ def hold(
 
     `contacts` and `fraction` come out as they are in the end, those of what does not press left out.
     """
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     p = preshape_in[i]
     fingers = fraction.shape[1]
     R = wp.transpose(turn_of(pose_in[i]))

@@ -11,13 +11,14 @@ import warp as wp
 
 from graspmatch.kernels.warp_blocks import BLOCK, block_point, lane_min, lanes
 from graspmatch.kernels.warp_fields import FieldStack, interpolate_at, node_offset, to_node_units
+from graspmatch.kernels.warp_queue import Queue, take
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
 @wp.kernel
 def way_clearance(
-    first: int,
+    queue: Queue,
     hand: FieldStack,
     points: wp.array(dtype=wp.float32),
     first_block: int,
@@ -30,7 +31,9 @@ def way_clearance(
 ):
     """Smallest distance of some blocks of points to the hand anywhere on its way; where no point comes nearer than
     `enough`, that."""
-    i = first + wp.tid() / lanes()
+    i = take(queue, wp.tid() / lanes())
+    if i < 0:
+        return
     g = preshape_in[i]
     A = to_node_units(hand, pose_in[i])
     b = node_offset(hand, g, A, pose_in[i])

@@ -7,6 +7,7 @@ to their number, so that equal shares of a launch cost about the same: the sky o
 
 import warp as wp
 
+from graspmatch.kernels.warp_queue import Queue, take
 from graspmatch.kernels.warp_rays import (
     BACKGROUND,
     FAR,
@@ -31,7 +32,7 @@ OPEN_SKY = wp.constant(0.8 + 0.2 * 2.0 / 3.0)  # what the floor's cosine-weighte
 
 @wp.kernel
 def find_surfaces(
-    first: int,
+    queue: Queue,
     mesh: wp.uint64,
     face_body: wp.array(dtype=int),
     corner_normals: wp.array2d(dtype=wp.vec3),
@@ -42,7 +43,10 @@ def find_surfaces(
     normal_out: wp.array2d(dtype=wp.vec3),
 ):
     """What each sample sees: index of the body, where (a little above the surface) and the shading normal."""
-    at = place(wp.tid() + first, body_out.shape[1], body_out.shape[0], view.row_stride)
+    element = take(queue, wp.tid())
+    if element < 0:
+        return
+    at = place(element, body_out.shape[1], body_out.shape[0], view.row_stride)
     x = at[0]
     y = at[1]
     d = ray_direction(view, x, y)
@@ -66,7 +70,7 @@ def find_surfaces(
 
 @wp.kernel
 def gather_light(
-    first: int,
+    queue: Queue,
     mesh: wp.uint64,
     view: View,
     setting: Setting,
@@ -76,7 +80,10 @@ def gather_light(
     light_out: wp.array2d(dtype=wp.vec2),
 ):
     """Light that this sample's few rays find."""
-    at = place(wp.tid() + first, body_in.shape[1], body_in.shape[0], view.row_stride)
+    element = take(queue, wp.tid())
+    if element < 0:
+        return
+    at = place(element, body_in.shape[1], body_in.shape[0], view.row_stride)
     x = at[0]
     y = at[1]
     if body_in[y, x] == BACKGROUND:
@@ -184,7 +191,7 @@ def same_surface(body: int, n: wp.vec3, step: wp.vec3, other_body: int, other_n:
 
 @wp.kernel
 def shade(
-    first: int,
+    queue: Queue,
     view: View,
     setting: Setting,
     body_rgb: wp.array(dtype=wp.vec3),
@@ -197,7 +204,10 @@ def shade(
     colour_out: wp.array2d(dtype=wp.vec3),
 ):
     """Linear colours of the four samples of each pixel."""
-    at = place(wp.tid() + first, view.width, view.height, view.row_stride)
+    element = take(queue, wp.tid())
+    if element < 0:
+        return
+    at = place(element, view.width, view.height, view.row_stride)
     behind = wp.lerp(setting.top_colour, setting.bottom_colour, (float(at[1]) + 0.5) / float(view.height))
     light = wp.vec2()
     light_body = BACKGROUND
@@ -245,13 +255,16 @@ def with_shoulder(x: float) -> float:
 
 @wp.kernel
 def develop(
-    first: int,
+    queue: Queue,
     view: View,
     colour_in: wp.array2d(dtype=wp.vec3),
     image_out: wp.array3d(dtype=wp.uint8),
 ):
     """Pixels from their own four samples and, at a quarter of the weight in each direction, the twelve around them."""
-    at = place(wp.tid() + first, view.width, view.height, view.row_stride)
+    element = take(queue, wp.tid())
+    if element < 0:
+        return
+    at = place(element, view.width, view.height, view.row_stride)
     total = wp.vec3()
     weights = float(0.0)
     for j in range(4):

@@ -9,6 +9,7 @@ from graspmatch.kernels.warp_blocks import lanes
 from graspmatch.kernels.warp_collide import FLAGS, Hand, Surroundings
 from graspmatch.kernels.warp_fields import NearestField, nearest_index
 from graspmatch.kernels.warp_match import NONE, Particles, Terms, hand_turn, slope_at
+from graspmatch.kernels.warp_queue import Queue, take
 
 wp.set_module_options({"enable_backward": False, "fast_math": False, "cpu_compiler_flags": FLAGS})
 
@@ -40,7 +41,7 @@ def prior_slope(seed: wp.quat, q: wp.quat) -> wp.vec3:
 
 @wp.kernel
 def gradients(
-    first: int,
+    queue: Queue,
     hand: Hand,
     samples: wp.array(dtype=wp.float32),
     target: NearestField,
@@ -60,7 +61,9 @@ def gradients(
     particles: Particles,
 ):
     """One gradient pass of one particle; for the Stein phase with the prior around its seed, as in eq. (8)."""
-    i = first + wp.tid() / lanes()
+    i = take(queue, wp.tid() / lanes())
+    if i < 0:
+        return
     lane = wp.tid() % lanes()
     g = particles.preshape[i]
     p = particles.position[i]
@@ -103,7 +106,7 @@ def gradients(
 
 @wp.kernel
 def descend(
-    first: int,
+    queue: Queue,
     hand: Hand,
     samples: wp.array(dtype=wp.float32),
     target: NearestField,
@@ -127,7 +130,9 @@ def descend(
     closed form those of ICP. The first of them is `iteration`, and the batches of all lie one behind the other. From
     `settle_from` on, where they are whole, a free particle whose loss hardly changes any more has converged, and its
     best pose is remembered."""
-    i = first + wp.tid() / lanes()
+    i = take(queue, wp.tid() / lanes())
+    if i < 0:
+        return
     lane = wp.tid() % lanes()
     if particles.is_converged[i] != 0:
         return
@@ -199,9 +204,11 @@ def aligned(hand: Hand, target: NearestField, terms: Terms, g: int, p: wp.vec3, 
 
 
 @wp.kernel
-def take_best(first: int, particles: Particles):
+def take_best(queue: Queue, particles: Particles):
     """The best free pose of a particle and what was found there, where that is not the pose it is at."""
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     is_worse = particles.colliding[i] != 0 or particles.best_loss[i] < particles.loss[i]
     if is_worse and particles.best_loss[i] < NONE:
         particles.position[i] = particles.best_position[i]
@@ -299,7 +306,7 @@ def crowd(
 
 @wp.kernel
 def stein(
-    first: int,
+    queue: Queue,
     gamma: float,
     terms: Terms,
     hand: Hand,
@@ -312,7 +319,9 @@ def stein(
     """Eqs. (7), (8): each particle moves along the kernel-weighted gradients of its preshape's particles and away from
     them, k being the product of (9) and (10). Dividing by the kernel's mass makes eta = 1 a Gauss-Newton step both for
     a lone particle and in a crowd."""
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     g = particles.preshape[i]
     start = group_start[g]
     count = group_count[g]

@@ -7,6 +7,8 @@ and divided by a length. Forces are in units of one finger's force.
 
 import warp as wp
 
+from graspmatch.kernels.warp_queue import Queue, take
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 CORNERS = 5
@@ -304,7 +306,7 @@ def margin_of(
 
 @wp.kernel
 def wrench_margin(
-    first: int,
+    queue: Queue,
     contacts: Contacts,
     pressure: Pressure,
     directions: wp.array(dtype=wp.spatial_vector),
@@ -314,7 +316,9 @@ def wrench_margin(
 ):
     """Smallest wrench that the grasp cannot resist besides the load (Ferrari and Canny 1992, with given finger forces).
     Below zero, the smallest that is missing to hold the object still."""
-    i = first + wp.tid()
+    i = take(queue, wp.tid())
+    if i < 0:
+        return
     load = wp.spatial_vector(load_in[i], wp.vec3(0.0, 0.0, 0.0))
     lay_out(contacts, pressure, i)
     margin_out[i] = margin_of(contacts, pressure, i, load, directions, steps)

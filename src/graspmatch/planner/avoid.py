@@ -66,7 +66,7 @@ def shortest_retreats(
     inputs += [*pose_arrays(candidates, space.centre_of_mass, space.device)]
     inputs += [upload(wider, wp.int32, space.device), upload(least, wp.float32, space.device), config.largest_retreat]
     outputs = [posture, smallest, retreat]
-    launch(warp_avoid.back_off, len(candidates), inputs, outputs, space.device, lanes=LANES, chunks=2)
+    launch(warp_avoid.back_off, len(candidates), inputs, outputs, space.device, lanes=LANES)
     return download(posture).astype(int), download(smallest).astype(float), download(retreat).astype(float)
 
 
@@ -146,7 +146,7 @@ def point_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "
     clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
     poses = pose_arrays(candidates, space.centre_of_mass, space.device)
     inputs = [*corridor_inputs(space, space.points), *poses]
-    launch(warp_avoid.least_distance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=2)
+    launch(warp_avoid.least_distance, len(candidates), inputs, [clearance], space.device, lanes=LANES)
     return download(clearance).astype(float)
 
 
@@ -162,7 +162,7 @@ def clear_ways(
     inputs += [upload(errors, wp.mat44, space.device)]
     inputs += pose_arrays(candidates, space.centre_of_mass, space.device)
     count = wp.empty(len(candidates), dtype=wp.int32, device=space.device)
-    launch(warp_avoid.clear_ways, len(candidates), inputs, [count], space.device, lanes=LANES, chunks=2)
+    launch(warp_avoid.clear_ways, len(candidates), inputs, [count], space.device, lanes=LANES)
     return download(count).astype(int)
 
 

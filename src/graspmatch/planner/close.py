@@ -58,7 +58,7 @@ def contact_fractions(free: Free, space: Space) -> tuple[Float[np.ndarray, "n f"
         fraction = wp.full(len(free) * fingers, NEVER, dtype=wp.float32, device=space.device)
         if blocks[1] > blocks[0]:
             inputs = [*field, *blocks, *poses]
-            launch(first_contact, len(free), inputs, [fraction], space.device, lanes=LANES, chunks=2)
+            launch(first_contact, len(free), inputs, [fraction], space.device, lanes=LANES)
         found.append(download(fraction).reshape(-1, fingers).astype(float))
     return found[0], found[1]
 

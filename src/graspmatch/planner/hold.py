@@ -38,8 +38,6 @@ NO_TABLE = -1.0e6
 """Height of the table where there is none [m]."""
 SEARCHES = 6
 """Steps of the search for the wrench that friction cannot balance."""
-CHUNKS = 4
-"""For each thread: some grasps take much longer than others."""
 DESCENTS = 12
 """Steps of the search for the weakest direction."""
 
@@ -163,7 +161,7 @@ def hold(
         *pose_arrays(candidates, target.centre_of_mass, device),
     ]
     outputs = [room.reached, room.contacts, room.fraction, room.figures]
-    launch(warp_hold.hold, n, inputs, outputs, device, chunks=CHUNKS)
+    launch(warp_hold.hold, n, inputs, outputs, device)
     figures = download(room.figures)[:n].astype(float).T
     return Held(
         held=figures[warp_hold.STATE] == warp_hold.HELD,

@@ -226,7 +226,7 @@ def gradients(
     """One pass of eqs. (16)-(18), with the k-th of the mini-batches; `want_loss` is for the loss of those that collide,
     too."""
     inputs = [*slope_inputs(problem, draws, k), int(want_loss), int(with_prior), particles]
-    launch(warp_steps.gradients, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=2)
+    launch(warp_steps.gradients, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES)
 
 
 def descend(
@@ -245,7 +245,7 @@ def descend(
     for run in filter(len, runs):
         counts = [len(run), settle_from - run.start, int(config.method == "icp")]
         inputs = [*slope_inputs(problem, draws, run.start), *counts, particles]
-        launch(warp_steps.descend, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES, chunks=4)
+        launch(warp_steps.descend, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES)
         if show:
             show()
 

@@ -146,7 +146,7 @@ def lift_clearance(candidates: Candidates, way: Way) -> Float[Array, "n"]:
     inputs = [space.hand.matching.distance, space.points.points, first, end, way.clearance]
     inputs += [upload(up, wp.vec3, space.device), *poses]
     clearance = wp.empty(len(candidates), dtype=wp.float32, device=space.device)
-    launch(way_clearance, len(candidates), inputs, [clearance], space.device, lanes=LANES, chunks=2)
+    launch(way_clearance, len(candidates), inputs, [clearance], space.device, lanes=LANES)
     return download(clearance).astype(float)
 
 

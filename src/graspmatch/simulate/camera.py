@@ -51,7 +51,7 @@ def look(camera: Camera, meshes: Sequence[TriangleMesh], size: tuple[int, int]) 
         y,
     ]
     outputs = [wp.empty(width * height, dtype=kind, device="cpu") for kind in (wp.float32, wp.int32, wp.float32)]
-    launch(warp_depth.see, width * height, inputs, outputs, "cpu", chunks=16)
+    launch(warp_depth.see, width * height, inputs, outputs, "cpu")
     depth, body, facing = (each.numpy().reshape(height, width) for each in outputs)
     return Sight(depth, body, facing)
 

@@ -16,7 +16,7 @@ from graspmatch.kernels.launch import download, launch, upload
 from graspmatch.kernels.warp_blocks import LANES
 from graspmatch.planner.candidates import Candidates, Free, Matched
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.upload import DISTANCE_STEP, DeviceHand, pose_arrays, upload_gripper
+from graspmatch.planner.upload import DISTANCE_STEP, DeviceHand, lowest, pose_arrays, upload_gripper
 from graspmatch.scene.scene import Scene
 from graspmatch.types import Gripper, Plane
 
@@ -137,8 +137,11 @@ def backed_off(matched: Matched, posture: Int[np.ndarray, "n"], retreat: Float[n
 
 def table_clearance_of_way(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
     """Height of hand and way in above the table [m]: the way is straight, so lowest at one of its ends."""
-    start = Candidates(candidates.preshape, candidates.T_world_gripper @ space.gripper.T_gripper_pregrasp)
-    return np.minimum(table_clearance(candidates, space), table_clearance(start, space))
+    clearance = table_clearance(candidates, space)
+    if space.table is not None:
+        back = candidates.T_world_gripper[:, :3, :3] @ space.gripper.T_gripper_pregrasp[:3, 3]
+        clearance += np.minimum(back @ space.table.normal, 0.0)
+    return clearance
 
 
 def point_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "n"]:
@@ -198,8 +201,8 @@ def table_clearance(candidates: Candidates, space: Space) -> Float[np.ndarray, "
     if space.table is None:
         return np.full(len(candidates), np.inf)
     up_gripper = np.einsum("j,njk->nk", space.table.normal, candidates.T_world_gripper[:, :3, :3])
-    along = np.einsum("nvk,nk->nv", space.hand.corners[candidates.preshape], up_gripper)
-    return along.min(axis=-1) + candidates.T_world_gripper[:, :3, 3] @ space.table.normal - space.table.offset
+    least = lowest(space.hand.corners, candidates.preshape, up_gripper)
+    return least + candidates.T_world_gripper[:, :3, 3] @ space.table.normal - space.table.offset
 
 
 def _heights(

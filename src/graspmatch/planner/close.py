@@ -16,7 +16,7 @@ from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.planner.avoid import Space
 from graspmatch.planner.candidates import Closed, Free
 from graspmatch.planner.tally import Tally
-from graspmatch.planner.upload import ARRIVAL_STEP, DISTANCE_STEP, DeviceHand, pose_arrays
+from graspmatch.planner.upload import ARRIVAL_STEP, DISTANCE_STEP, DeviceHand, lowest, pose_arrays
 from graspmatch.types import Gripper, Plane
 
 
@@ -68,8 +68,7 @@ def table_fractions(free: Free, table: Plane, gripper: Gripper, hand: DeviceHand
     fractions = np.full((len(free), len(gripper.fingers)), NEVER)
     direction = np.einsum("j,njk->nk", table.normal, free.T_world_gripper[:, :3, :3])  # the normal in the gripper frame
     height = free.T_world_gripper[:, :3, 3] @ table.normal - table.offset
-    lowest = np.einsum("nfvj,nj->nfv", hand.swept_corners[free.preshape], direction).min(axis=-1, initial=np.inf)
-    reaches = lowest + height[:, None] < 0
+    reaches = lowest(hand.swept_corners, free.preshape, direction) + height[:, None] < 0
     for f in np.flatnonzero(reaches.any(axis=0)):
         for index in np.unique(free.preshape[reaches[:, f]]):
             chosen = np.flatnonzero((free.preshape == index) & reaches[:, f])

@@ -157,8 +157,8 @@ def try_all(
     n, k = len(closed), len(trials)
     tried = hold(displaced(closed, trials.error), np.tile(trials.friction, n), target, gripper, config, device)
     margin = np.where(tried.held, tried.margin, LOST_MARGIN)
-    figures = margin, tried.held, tried.contacts, sure_of(tried.beyond)
-    return tuple(figure.reshape(n, k).mean(axis=-1) for figure in figures)  # type: ignore[return-value]
+    figures = np.stack([margin, tried.held, tried.contacts, sure_of(tried.beyond)])
+    return tuple(figures.reshape(len(figures), n, k).mean(axis=-1))
 
 
 def sure_of(beyond: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
+from functools import cache
 from importlib.metadata import version
 
 import numpy as np
@@ -87,7 +88,7 @@ def plan(
         config=json.dumps(asdict(config)),
         seed=config.seed,
         device=device,
-        version=version("graspmatch"),
+        version=_version(),
         source=scene.source,
         seconds=watch.seconds,
     )
@@ -165,6 +166,12 @@ def grasp_set(
         provenance=provenance,
         advice="" if len(graded) else advice(tally, scene, gripper, path),
     )
+
+
+@cache
+def _version() -> str:
+    """Of this package; reading it takes longer than some stages."""
+    return version("graspmatch")
 
 
 def least_confidence(scene: Scene, config: RankingConfig) -> float:

@@ -170,6 +170,19 @@ def inverse_inertia(points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray,
     return np.linalg.inv((np.trace(second) + 1e-6) * np.eye(3) - second)
 
 
+def lowest(
+    corners: Float[np.ndarray, "p *parts v 3"], preshape: Int[np.ndarray, "n"], up: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n *parts"]:
+    """How far up the lowest corner of each candidate's preshape lies from its origin, of each part where there are
+    several [m]; `up` are unit vectors in the frame of the corners."""
+    least = np.empty((len(preshape), *corners.shape[1:-2]))
+    for index in np.unique(preshape):
+        chosen = np.flatnonzero(preshape == index)
+        along = up[chosen] @ corners[index].reshape(-1, 3).T
+        least[chosen] = along.reshape(len(chosen), *corners.shape[1:-1]).min(axis=-1, initial=np.inf)
+    return least
+
+
 def pose_arrays(
     candidates: Candidates,
     centre_of_mass: Float[np.ndarray, "3"],

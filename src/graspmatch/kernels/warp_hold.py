@@ -130,16 +130,23 @@ def hold(
     step = float(course.step)
     steps = int(0)
     last = weight
+    has_moved = int(1)
     while state < HELD:
-        R = wp.quat_to_matrix(q)
-        contacts.centre[i] = c
+        if has_moved == 1:
+            R = wp.quat_to_matrix(q)
+            contacts.centre[i] = c
+            for f in range(fingers):
+                grid = p * fingers + f
+                touch_finger(i, f, grid, R, c, course.patch, body, hand, reached, fraction, contacts)
+                contacts.touching[i, f] = contacts.count[i, f]
+            touch_palm(i, fingers, p, R, c, course.patch, body, hand, reached, contacts)
+            if state == CLOSING:
+                touch_table(i, fingers + 1, R, c, floor, up, body, contacts)
+            has_moved = 0
         for f in range(fingers):
-            grid = p * fingers + f
-            touch_finger(i, f, grid, R, c, course.patch, body, hand, reached, fraction, contacts)
-        touch_palm(i, fingers, p, R, c, course.patch, body, hand, reached, contacts)
-        contacts.count[i, fingers + 1] = 0
-        if state == CLOSING:
-            touch_table(i, fingers + 1, R, c, floor, up, body, contacts)
+            contacts.count[i, f] = contacts.touching[i, f]
+        if state == LIFTED:
+            contacts.count[i, fingers + 1] = 0
         followed = float(NEVER)  # the fingers that pressed have followed the object
         earliest = float(NEVER)
         for f in range(fingers):
@@ -186,6 +193,7 @@ def hold(
                 figures_out[i, 2 * state + 1] += angle
                 steps += 1
                 last = w
+                has_moved = 1
     contacts.count[i, fingers + 1] = 0
     for f in range(fingers):
         if contacts.count[i, f] > 0:

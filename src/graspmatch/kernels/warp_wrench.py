@@ -50,6 +50,8 @@ class Contacts:
     """Of mass: torques are about it."""
     beyond: wp.array2d(dtype=wp.float32)
     """How far from what was seen each touches, the mean over its contacts [m]."""
+    touching: wp.array2d(dtype=wp.int32)
+    """As `count`, but what touches without pressing counts, too: scratch of `hold`."""
     start: wp.array2d(dtype=wp.int32)
     """Scratch of `lay_out`: number of the first contact of each, ..."""
     rows: wp.array3d(dtype=wp.float32)

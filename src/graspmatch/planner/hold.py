@@ -274,6 +274,7 @@ def room_for_contacts(n: int, fingers: int, device: str) -> warp_wrench.Contacts
     contacts.push = wp.zeros(shape, dtype=wp.vec3, device=device)
     contacts.centre = wp.zeros(n, dtype=wp.vec3, device=device)
     contacts.beyond = wp.zeros(shape[:2], dtype=wp.float32, device=device)
+    contacts.touching = wp.zeros(shape[:2], dtype=wp.int32, device=device)
     contacts.start = wp.zeros((n, fingers + 3), dtype=wp.int32, device=device)
     contacts.rows = wp.zeros((n, 7, (fingers + 2) * warp_wrench.CORNERS), dtype=wp.float32, device=device)
     return contacts

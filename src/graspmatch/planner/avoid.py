@@ -22,6 +22,8 @@ from graspmatch.types import Gripper, Plane
 
 RETREAT_STEP = 0.001
 """[m]"""
+ROWS = 256
+"""Candidates whose corners are looked at together, so that they fit a core's cache."""
 COARSE_POINTS = 2000
 """Points that a posture is chosen with, before the whole cloud has its say."""
 
@@ -210,5 +212,8 @@ def _heights(
 ) -> Float[np.ndarray, "n p"]:
     """Of the lowest corner above the table [m]."""
     up_gripper = np.einsum("j,njk->nk", table.normal, T_world_gripper[:, :3, :3])
-    along = (up_gripper @ corners.reshape(-1, 3).T).reshape(len(T_world_gripper), *corners.shape[:2])
-    return along.min(axis=-1) + (T_world_gripper[:, :3, 3] @ table.normal - table.offset)[:, None]
+    least = np.empty((len(T_world_gripper), len(corners)))
+    for some in (slice(n, n + ROWS) for n in range(0, len(least), ROWS)):
+        along = up_gripper[some] @ corners.reshape(-1, 3).T
+        least[some] = along.reshape(-1, *corners.shape[:2]).min(axis=-1)
+    return least + (T_world_gripper[:, :3, 3] @ table.normal - table.offset)[:, None]

@@ -33,7 +33,7 @@ from graspmatch.planner.grade import (
 )
 from graspmatch.planner.hold import hold, touchable
 from graspmatch.planner.match import prepare
-from graspmatch.planner.refine import Judge, confirm, judge_of, refine, roomiest
+from graspmatch.planner.refine import HARDLY_SURER, Judge, confirm, judge_of, refine, roomiest
 from graspmatch.planner.tally import Tally
 from graspmatch.scene.scene import Scene
 from graspmatch.scene.shapes import convex_hull
@@ -41,6 +41,7 @@ from graspmatch.types import Gripper
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 CONFIG = PlannerConfig()
+NEVER_ENOUGH = replace(CONFIG, refining=replace(CONFIG.refining, enough=1.0))
 MIDDLE = np.array([0.0, 0.0, 0.03])
 
 
@@ -288,19 +289,28 @@ def test_a_hand_arrives_in_the_wider_preshape_that_has_more_room(franka, judge):
 
 
 def test_refining_makes_the_surest_surer(judge):
-    never_enough = replace(CONFIG, refining=replace(CONFIG.refining, enough=1.0))
-    graded = judge.grade(around(judge, 10, spread=0.5), judge.first)
-    refined = refine(graded, replace(judge, config=never_enough))
+    aside = around(judge, 16, seed=3, spread=1.5).select(np.arange(1, 16))  # without the centred hand, which is sure
+    graded = judge.grade(aside, judge.first)
+    assert graded.sureness.max() < HARDLY_SURER
+    refined = refine(graded, replace(judge, config=NEVER_ENOUGH))
     assert len(refined) == len(graded)
     before, after = (judge.grade(without_verdict(g), slice(None)).sureness for g in (graded, refined))
     assert after.max() >= before.max()
     assert np.sort(after)[-CONFIG.refining.count :].mean() > np.sort(before)[-CONFIG.refining.count :].mean()
     moved = ~np.isin(refined.T_world_gripper[:, 0, 3], graded.T_world_gripper[:, 0, 3])
-    assert 0 < moved.sum() <= CONFIG.refining.count * CONFIG.refining.searches
+    assert 0 < moved.sum() <= CONFIG.refining.count
     assert np.all(refined.clearance[moved] > 0.98 * CONFIG.collision.clearance)
     confirmed = refined.tries == CONFIG.grip.trials
     assert confirmed.sum() >= CONFIG.grip.leaders
     np.testing.assert_allclose(after[confirmed], refined.sureness[confirmed], rtol=1e-6)  # judged as they now are
+
+
+def test_nothing_is_moved_where_a_grasp_can_hardly_get_surer(judge):
+    graded = judge.grade(around(judge, 10, spread=0.5), judge.first)
+    assert graded.sureness.max() > HARDLY_SURER
+    assert graded.sureness.min() < CONFIG.refining.enough
+    refined = refine(graded, replace(judge, config=NEVER_ENOUGH))
+    np.testing.assert_array_equal(refined.T_world_gripper, graded.T_world_gripper)
 
 
 def test_a_grasp_that_is_sure_enough_is_not_refined(judge):

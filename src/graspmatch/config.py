@@ -189,7 +189,7 @@ class GripConfig:
 class RefiningConfig:
     """Moving the best grasps a little where that makes them surer."""
 
-    count: int = 4
+    count: int = 6
     """So many of them; 0: none."""
     rounds: int = 3
     """Steps of the search."""
@@ -197,10 +197,8 @@ class RefiningConfig:
     """Of each grasp in the search ..."""
     contenders: int = 3
     """... and of so many of its neighbours: those that do best in the first of them."""
-    searches: int = 2
-    """At most so many, the next around the next best, ..."""
     enough: float = 0.95
-    """... until a grasp is as sure as this."""
+    """Nothing is moved where one is as sure as this."""
     step: float = 0.006
     """First step along each axis [m] ..."""
     angle: float = math.radians(8.0)

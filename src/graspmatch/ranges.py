@@ -58,7 +58,6 @@ LIMITS: dict[str, tuple[float, float | str]] = {
     "refining.count": (0, 1e6),
     "refining.rounds": (0, 1e3),
     "refining.trials": (1, "grip.trials"),
-    "refining.searches": (1, 1000),
     "refining.enough": (0, 1),
     "refining.step": (0, 0.1),
     "refining.angle": (0, 2),

@@ -100,18 +100,13 @@ def roomiest(closed: Closed, judge: Judge) -> tuple[Closed, Float[Array, "n"]]:
 
 
 def refine(graded: Graded, judge: Judge) -> Graded:
-    """Confirm the surest and search around them; around the next as well, while none of them is sure enough."""
+    """Confirm the surest; where none of them is sure enough, search around them and confirm those that then lead."""
     config = judge.config.refining
     graded = confirm(graded, judge)
-    searched = np.zeros(len(graded), dtype=bool)
-    for _ in range(config.searches):
-        order = np.argsort(-graded.sureness, kind="stable")
-        best = order[~searched[order]][: config.count]
-        if not len(best) or not config.rounds or graded.sureness.max() >= config.enough:
-            break
-        searched[best] = True
-        graded = confirm(search(graded, best, judge), judge)
-    return graded
+    best = np.argsort(-graded.sureness, kind="stable")[: config.count]
+    if not len(best) or not config.rounds or graded.sureness[best[0]] >= config.enough:
+        return graded
+    return confirm(search(graded, best, judge), judge)
 
 
 def search(graded: Graded, best: Int[Array, "k"], judge: Judge) -> Graded:

@@ -3,7 +3,6 @@
 # pyright: reportInvalidTypeForm=false
 from __future__ import annotations
 
-import multiprocessing
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ import warp as wp
 from scipy.spatial import KDTree
 from threadpoolctl import threadpool_info
 
-from graspmatch.errors import GraspmatchError
 from graspmatch.geometry import grid as grids
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid
@@ -37,7 +35,7 @@ from graspmatch.kernels.fields import (
     stack_fields,
     upload_blocks,
 )
-from graspmatch.kernels.launch import launch, thread_count
+from graspmatch.kernels.launch import launch
 from graspmatch.kernels.warp_fields import NEVER
 from graspmatch.kernels.warp_queue import Queue, take
 from graspmatch.planner.upload import inverse_inertia, swept_distance
@@ -691,29 +689,3 @@ def test_results_do_not_depend_on_the_number_of_threads(rng, monkeypatch):
         found.append(np.concatenate([particles.gradient_position.numpy(), particles.gradient_rotation.numpy()]))
     np.testing.assert_array_equal(found[0], found[1])
     np.testing.assert_array_equal(found[0], found[2])
-
-
-def test_number_of_threads_that_is_none_is_an_error(monkeypatch):
-    for wrong in ("-1", "0", "many"):
-        monkeypatch.setenv("GRASPMATCH_THREADS", wrong)
-        with pytest.raises(GraspmatchError, match="must be a number of threads"):
-            thread_count()
-
-
-@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_kernels_run_in_a_forked_process(monkeypatch):
-    """The child inherits the thread pool but not its threads."""
-    monkeypatch.setenv("GRASPMATCH_THREADS", "2")
-    field = stack_fields([Grid(np.zeros(3), 1.0, np.zeros((2, 2, 2)))], "cpu")
-
-    def query() -> None:
-        out = wp.empty(8, dtype=wp.float32, device="cpu")
-        inputs = [field, wp.zeros(8, dtype=wp.int32, device="cpu"), wp.zeros(8, dtype=wp.vec3, device="cpu")]
-        launch(warp_fields.query_stack, 8, inputs, [out], "cpu")
-
-    query()
-    child = multiprocessing.get_context("fork").Process(target=query)
-    child.start()
-    child.join(20)
-    child.kill()
-    assert child.exitcode == 0

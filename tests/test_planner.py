@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from graspmatch.config import (
     ClosingConfig,
@@ -21,7 +22,13 @@ from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid, interpolate
 from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.advice import UNSURE, advice
-from graspmatch.planner.avoid import keep_free, upload_space, wider_preshapes
+from graspmatch.planner.avoid import (
+    keep_free,
+    table_clearance,
+    table_clearance_of_way,
+    upload_space,
+    wider_preshapes,
+)
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.close import contact_joints, first_crossing
 from graspmatch.planner.match import annealing, batch_share, match, prepare
@@ -29,6 +36,7 @@ from graspmatch.planner.plan import plan
 from graspmatch.planner.rank import rank
 from graspmatch.planner.seed import asked_for, pose_seeds, seed_poses
 from graspmatch.planner.tally import Tally
+from graspmatch.planner.upload import lowest
 from graspmatch.scene.scene import Scene, Table
 from graspmatch.scene.shapes import mug
 from graspmatch.types import GraspmatchError, Gripper, PointCloud
@@ -269,6 +277,26 @@ def test_hand_above_the_table_by_its_lowest_corner(toy):
     for T, preshape in zip(grasps.T_world_gripper, grasps.preshape, strict=True):
         lowest = se3.apply(T, toy.preshapes[preshape].outline)[:, 2].min()
         assert lowest > 0.99 * SMALL.collision.clearance
+
+
+def test_lowest_corners_along_directions():
+    rng = np.random.default_rng(0)
+    corners, preshape = rng.normal(size=(3, 2, 9, 3)), rng.integers(3, size=20)
+    up = rng.normal(size=(20, 3))
+    expected = [[min(up[i] @ corner for corner in part) for part in corners[p]] for i, p in enumerate(preshape)]
+    np.testing.assert_allclose(lowest(corners, preshape, up), expected, atol=1e-12)
+    np.testing.assert_allclose(lowest(corners[:, 0], preshape, up), np.array(expected)[:, 0], atol=1e-12)
+
+
+def test_way_in_is_as_high_as_the_lower_of_its_ends(toy):
+    rng = np.random.default_rng(0)
+    space = upload_space(box_scene(), toy, "cpu")
+    turn = Rotation.random(30, random_state=0).as_matrix()
+    ways = Candidates(rng.integers(len(toy.preshapes), size=30), se3.from_parts(turn, rng.normal(size=(30, 3)) * 0.2))
+    starts = replace(ways, T_world_gripper=ways.T_world_gripper @ toy.T_gripper_pregrasp)
+    ends = np.stack([table_clearance(some, space) for some in (ways, starts)])
+    np.testing.assert_allclose(table_clearance_of_way(ways, space), ends.min(axis=0), atol=1e-12)
+    assert 0 < (ends[0] < ends[1]).sum() < 30
 
 
 def test_wider_preshape_is_the_next_one_open(toy):

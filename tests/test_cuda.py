@@ -10,6 +10,7 @@ import warp as wp
 MODULES = (
     "warp_fields",
     "warp_steps",
+    "warp_stein",
     "warp_avoid",
     "warp_wrench",
     "warp_hold",

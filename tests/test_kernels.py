@@ -22,6 +22,7 @@ from graspmatch.kernels import (
     warp_collide,
     warp_fields,
     warp_match,
+    warp_stein,
     warp_steps,
 )
 from graspmatch.kernels.blas import blas_on_one_thread
@@ -529,8 +530,8 @@ class Toy:
         around = [self.surroundings(cloud, **kwargs), cloud.points, cloud.balls, self.outline, levels]
         return [hand, samples, *goals, *around, terms, *batch]
 
-    def gradients(self, scene, terms, particles, *, want_loss=False, with_prior=False, **kwargs):
-        inputs = [*self.slope_inputs(scene, terms, **kwargs), 0, int(want_loss), int(with_prior), particles]
+    def gradients(self, scene, terms, particles, *, want_loss=False, **kwargs):
+        inputs = [*self.slope_inputs(scene, terms, **kwargs), 0, int(want_loss), particles]
         launch(warp_steps.gradients, len(self.t), inputs, [], self.device, lanes=warp_blocks.LANES)
 
     def descend(self, scene, terms, particles, iterations=1, *, closed_form=False):
@@ -538,6 +539,17 @@ class Toy:
         batches = [wp.array(np.tile(v.numpy(), iterations), device=self.device) for v in (offset, size)]
         inputs += [*batches, 0, iterations, 0, int(closed_form), particles]
         launch(warp_steps.descend, len(self.t), inputs, [], self.device, lanes=warp_blocks.LANES)
+
+    def stein(self, scene, terms, particles, gamma, iterations=1):
+        """All of each preshape as one group."""
+        *inputs, offset, size = self.slope_inputs(scene, terms)
+        batches = [wp.array(np.tile(v.numpy(), iterations), device=self.device) for v in (offset, size)]
+        begin = np.searchsorted(self.preshape, [0, 1])
+        groups = [wp.array(v, dtype=wp.int32, device=self.device) for v in (begin, np.bincount(self.preshape))]
+        inputs += [*batches, 0, iterations, floats(np.full(iterations, gamma), self.device), *groups, particles]
+        following = [wp.clone(particles.position), wp.clone(particles.rotation)]
+        sizes = {"lanes": warp_blocks.LANES, "rounds": 2 * iterations + 1}
+        launch(warp_stein.stein, len(self.t), inputs, following, self.device, **sizes)
 
 
 NOWHERE = np.full((1, 3), 9.0)
@@ -617,10 +629,7 @@ def test_stein_step_matches_the_reference(rng, device, prior):
     particles.seed_rotation = wp.array(np.roll(seed_q, -1, axis=-1), dtype=wp.quat, device=device)
     toy.gradients(NOWHERE, terms, particles)
     drift_t, drift_w = particles.gradient_position.numpy().copy(), particles.gradient_rotation.numpy().copy()
-    toy.gradients(NOWHERE, terms, particles, with_prior=True)
-    group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 4], [4, 4])]
-    moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
-    launch(warp_steps.stein, 8, [0.7, terms, toy.hand(), *group, particles], moved, device)
+    toy.stein(NOWHERE, terms, particles, gamma=0.7)
     for g in range(2):
         own, n = toy.preshape == g, len(toy.samples[g])
         R = se3.matrix_from_quaternion(toy.q[own])
@@ -632,10 +641,10 @@ def test_stein_step_matches_the_reference(rng, device, prior):
         moves, spins = reference.stein_directions(
             toy.t[own], toy.q[own], with_prior_t, with_prior_w, 0.7, 0.3, 0.5, inverse, n
         )
-        np.testing.assert_allclose(moved[0].numpy()[own], toy.t[own] + moves, rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(particles.position.numpy()[own], toy.t[own] + moves, rtol=1e-3, atol=1e-5)
         spins *= np.minimum(1.0, 0.5 / np.linalg.norm(spins, axis=-1, keepdims=True))
         turned = se3.quaternion_multiply(se3.quaternion_exp(spins), toy.q[own])
-        found = np.roll(moved[1].numpy()[own], 1, axis=-1)
+        found = np.roll(particles.rotation.numpy()[own], 1, axis=-1)
         np.testing.assert_allclose(np.abs(np.sum(found * turned, axis=-1)), 1.0, atol=1e-5)
 
 
@@ -644,10 +653,8 @@ def test_no_stein_step_is_longer_than_the_longest(rng, device):
     toy.t *= 0.01  # near particles repel each other without bound
     particles, terms = toy.particles(), toy.terms(repulsion=1.0)
     terms.longest_step = 0.02
-    group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 3], [3, 3])]
-    moved = [wp.empty_like(particles.position), wp.empty_like(particles.rotation)]
-    launch(warp_steps.stein, 6, [0.0, terms, toy.hand(), *group, particles], moved, device)
-    steps = np.linalg.norm(moved[0].numpy() - toy.t, axis=-1)
+    toy.stein(NOWHERE, terms, particles, gamma=0.0)
+    steps = np.linalg.norm(particles.position.numpy() - toy.t, axis=-1)
     assert steps.max() == pytest.approx(0.02, rel=1e-4)
 
 
@@ -655,13 +662,26 @@ def test_lone_particle_without_repulsion_takes_the_plain_step(rng, device):
     toy = Toy(rng, device, particles=2)
     terms = toy.terms(repulsion=0.0)
     stein, plain = toy.particles(), toy.particles()
-    toy.gradients(NOWHERE, terms, stein)
-    group = [wp.array(v, dtype=wp.int32, device=device) for v in ([0, 1], [1, 1])]
-    moved = [wp.empty_like(stein.position), wp.empty_like(stein.rotation)]
-    launch(warp_steps.stein, 2, [1.0, terms, toy.hand(), *group, stein], moved, device)
+    toy.stein(NOWHERE, terms, stein, gamma=1.0)
     toy.descend(NOWHERE, terms, plain)
-    np.testing.assert_allclose(moved[0].numpy(), plain.position.numpy(), atol=1e-6)
-    np.testing.assert_allclose(moved[1].numpy(), plain.rotation.numpy(), atol=1e-6)
+    np.testing.assert_allclose(stein.position.numpy(), plain.position.numpy(), atol=1e-6)
+    np.testing.assert_allclose(stein.rotation.numpy(), plain.rotation.numpy(), atol=1e-6)
+
+
+def test_iterations_of_the_stein_phase_in_one_launch_are_those_of_many(rng, device, monkeypatch):
+    toy = Toy(rng, device, particles=20)
+    scene, terms = rng.uniform(-0.06, 0.06, size=(400, 3)), toy.terms(repulsion=0.3)
+    apart = toy.particles()
+    for _ in range(4):
+        toy.rng = np.random.default_rng(0)
+        toy.stein(scene, terms, apart, gamma=0.5)
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("GRASPMATCH_THREADS", threads)
+        together, toy.rng = toy.particles(), np.random.default_rng(0)
+        toy.stein(scene, terms, together, gamma=0.5, iterations=4)
+        np.testing.assert_array_equal(together.position.numpy(), apart.position.numpy())
+        np.testing.assert_array_equal(together.rotation.numpy(), apart.rotation.numpy())
+    assert np.linalg.norm(apart.position.numpy() - toy.t, axis=-1).max() > 1e-3
 
 
 def test_closed_form_step_matches_the_reference(rng, device):

@@ -40,6 +40,48 @@ def test_every_element_is_taken_once(threads, count, monkeypatch):
         np.testing.assert_array_equal(visits.numpy(), times)
 
 
+@wp.kernel
+def double_the_neighbour(queue: Queue, work: wp.array(dtype=wp.int32), values: wp.array2d(dtype=wp.int32)):
+    """In every round the value of an element is twice the one that the next element had in the round before."""
+    element = take(queue, wp.tid())
+    if element < 0:
+        return
+    n = work.shape[0]
+    sink = float(work[element % n])
+    for k in range(work[element % n]):
+        sink += wp.sin(float(k))
+    before = element / n
+    values[before + 1, element % n] = 2 * values[before, (element + 1) % n] + wp.where(sink < 1.0e9, 0, 1)
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "5"])
+@pytest.mark.parametrize("count", [1, 2, 300])
+def test_a_round_begins_when_the_one_before_is_done(threads, count, monkeypatch):
+    rng = np.random.default_rng(0)
+    monkeypatch.setenv("GRASPMATCH_THREADS", threads)
+    work = wp.array(rng.integers(0, 200, size=count) ** 2 // 40, dtype=wp.int32, device="cpu")
+    first = rng.integers(0, 100, size=count)
+    for _ in range(10):
+        values = wp.array(np.vstack([first, np.zeros((20, count))]), dtype=wp.int32, device="cpu")
+        launch(double_the_neighbour, count, [work], [values], "cpu", rounds=20)
+        np.testing.assert_array_equal(values.numpy()[20], 2**20 * np.roll(first, -20))
+
+
+@pytest.mark.parametrize("wrong", [wp.zeros(3, dtype=wp.float32, device="cpu"), 1, None, Queue()])
+def test_an_argument_of_another_type_is_an_error(wrong):
+    visits = wp.zeros(3, dtype=wp.int32, device="cpu")
+    with pytest.raises(TypeError, match="count_visits: 'work' cannot be"):
+        launch(count_visits, 3, [wrong], [visits], "cpu")
+    assert not visits.numpy().any()
+
+
+def test_another_number_of_arguments_is_an_error():
+    visits = wp.zeros(3, dtype=wp.int32, device="cpu")
+    for wrong in ([], [visits, visits]):
+        with pytest.raises(TypeError, match="count_visits takes 2 arguments"):
+            launch(count_visits, 3, wrong, [visits], "cpu")
+
+
 def test_a_launch_of_nothing_does_nothing():
     visits = wp.zeros(1, dtype=wp.int32, device="cpu")
     launch(count_visits, 0, [visits], [visits], "cpu")

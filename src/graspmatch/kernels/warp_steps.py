@@ -1,6 +1,6 @@
-"""The steps of Algorithm 1 for all particles of all preshapes at once, for CPU and CUDA.
+"""The steps of Algorithm 1 that a particle takes alone, for CPU and CUDA; `warp_stein` has those of the Stein phase.
 
-Legend as in `warp_match`: i, j particles, g their preshape, p position, q rotation, k iteration or kernel, h bandwidth.
+Legend as in `warp_match`: i, j particles, g their preshape, p position, q rotation, k iteration.
 """
 
 import warp as wp
@@ -8,13 +8,10 @@ import warp as wp
 from graspmatch.kernels.warp_blocks import lanes
 from graspmatch.kernels.warp_collide import FLAGS, Hand, Surroundings
 from graspmatch.kernels.warp_fields import NearestField, nearest_index
-from graspmatch.kernels.warp_match import NONE, Particles, Terms, hand_turn, slope_at
+from graspmatch.kernels.warp_match import NONE, Particles, Terms, slope_at
 from graspmatch.kernels.warp_queue import Queue, take
 
 wp.set_module_options({"enable_backward": False, "fast_math": False, "cpu_compiler_flags": FLAGS})
-
-
-Crowd = wp.types.vector(length=13, dtype=wp.float32)
 
 
 @wp.func
@@ -24,19 +21,6 @@ def turn(q: wp.quat, w: wp.vec3) -> wp.quat:
     if angle < 1.0e-9:
         return q
     return wp.normalize(wp.quat_from_axis_angle(w / angle, wp.min(angle, 0.5)) * q)
-
-
-@wp.func
-def inverse_mass(terms: Terms) -> float:
-    """The translational block of A."""
-    return 1.0 / (1.0 + wp.max(terms.com_gradient_weight, 0.0))
-
-
-@wp.func
-def prior_slope(seed: wp.quat, q: wp.quat) -> wp.vec3:
-    """Gradient of -cos(angle), the negative log of a von Mises prior around the seed: sin(angle) axis."""
-    d = q * wp.quat_inverse(seed)
-    return 2.0 * d[3] * wp.vec3(d[0], d[1], d[2])
 
 
 @wp.kernel
@@ -57,10 +41,9 @@ def gradients(
     batch_size: wp.array(dtype=wp.int32),
     iteration: int,
     want_loss: int,
-    with_prior: int,
     particles: Particles,
 ):
-    """One gradient pass of one particle; for the Stein phase with the prior around its seed, as in eq. (8)."""
+    """One gradient pass of one particle."""
     i = take(queue, wp.tid() / lanes())
     if i < 0:
         return
@@ -89,16 +72,9 @@ def gradients(
         want_loss,
         lane,
     )
-    by_position = found.by_position
-    by_rotation = found.by_rotation
-    if with_prior != 0:
-        n = float(hand.count[g])
-        by_position += terms.prior_precision * inverse_mass(terms) / n * (p - particles.seed_position[i])
-        by_w = terms.prior_concentration / n * prior_slope(particles.seed_rotation[i], q)
-        by_rotation += hand_turn(hand, g, wp.quat_to_matrix(q), by_w)
     if lane == 0:
-        particles.gradient_position[i] = by_position
-        particles.gradient_rotation[i] = by_rotation
+        particles.gradient_position[i] = found.by_position
+        particles.gradient_rotation[i] = found.by_rotation
         particles.matching_error[i] = found.error
         particles.loss[i] = found.loss
         particles.colliding[i] = found.colliding
@@ -216,138 +192,3 @@ def take_best(queue: Queue, particles: Particles):
         particles.loss[i] = particles.best_loss[i]
         particles.matching_error[i] = particles.best_error[i]
         particles.colliding[i] = 0
-
-
-@wp.func
-def shortened(v: wp.vec3, most: float) -> wp.vec3:
-    """The vector, no longer than `most`."""
-    return v * wp.min(1.0, most / wp.max(wp.length(v), 1.0e-9))
-
-
-@wp.func_native("""
-    const float* at = (const float*)position.data;
-    float x = 0.0f, y = 0.0f, z = 0.0f, square = 0.0f;
-    for (int j = begin; j < end; ++j) {
-        float a = at[3 * j], b = at[3 * j + 1], c = at[3 * j + 2];
-        x += a;
-        y += b;
-        z += c;
-        square += a * a + b * b + c * c;
-    }
-    float share = 1.0f / (end - begin);
-    return share * square - share * share * (x * x + y * y + z * z);
-""")
-def spread_of(position: wp.array(dtype=wp.vec3), begin: int, end: int) -> float:
-    """Mean squared distance of some positions from their mean."""
-    ...
-
-
-@wp.func_native("""
-    const float* at = (const float*)position.data;
-    const float* turn = (const float*)rotation.data;
-    const float* by_t = (const float*)gradient_position.data;
-    const float* by_w = (const float*)gradient_rotation.data;
-    const float p0 = p[0], p1 = p[1], p2 = p[2], q0 = q[0], q1 = q[1], q2 = q[2], q3 = q[3];
-    const float scale = 1.0f / h;
-    float dt0 = 0.0f, dt1 = 0.0f, dt2 = 0.0f, dw0 = 0.0f, dw1 = 0.0f, dw2 = 0.0f;
-    float at0 = 0.0f, at1 = 0.0f, at2 = 0.0f, aw0 = 0.0f, aw1 = 0.0f, aw2 = 0.0f, mass = 0.0f;
-    for (int j = begin; j < end; ++j) {
-        float x = p0 - at[3 * j], y = p1 - at[3 * j + 1], z = p2 - at[3 * j + 2];
-        float a0 = turn[4 * j], a1 = turn[4 * j + 1], a2 = turn[4 * j + 2], a3 = turn[4 * j + 3];
-        float exponent = -scale * (x * x + y * y + z * z);
-#if defined(__CUDA_ARCH__)
-        float k_t = expf(exponent);
-#else
-        float power = wp::max(1.442695041f * exponent, -126.0f);  // of two: whole, and a share that a polynomial takes
-        int whole = (int)power - 1;
-        float f = power - whole;
-        float tail = 0.240153617f + f * (0.0558263180f + f * (0.00898934010f + f * 0.00187757667f));
-        float k_t = __builtin_bit_cast(float, (whole + 127) << 23) * (0.999999925f + f * (0.693153073f + f * tail));
-#endif
-        float cosine = a0 * q0 + a1 * q1 + a2 * q2 + a3 * q3;
-        float k = k_t * (cosine < 0.0f ? -cosine : cosine);
-        float slope = cosine < 0.0f ? -0.5f * k_t : 0.5f * k_t;
-        dt0 += k * by_t[3 * j];
-        dt1 += k * by_t[3 * j + 1];
-        dt2 += k * by_t[3 * j + 2];
-        dw0 += k * by_w[3 * j];
-        dw1 += k * by_w[3 * j + 1];
-        dw2 += k * by_w[3 * j + 2];
-        at0 += k * x;
-        at1 += k * y;
-        at2 += k * z;
-        aw0 += slope * (a3 * q0 - q3 * a0 - (q1 * a2 - q2 * a1));
-        aw1 += slope * (a3 * q1 - q3 * a1 - (q2 * a0 - q0 * a2));
-        aw2 += slope * (a3 * q2 - q3 * a2 - (q0 * a1 - q1 * a0));
-        mass += k;
-    }
-    wp::vec_t<13, float> sums;
-    sums[0] = dt0, sums[1] = dt1, sums[2] = dt2, sums[3] = dw0, sums[4] = dw1, sums[5] = dw2;
-    sums[6] = 2.0f * scale * at0, sums[7] = 2.0f * scale * at1, sums[8] = 2.0f * scale * at2;
-    sums[9] = aw0, sums[10] = aw1, sums[11] = aw2, sums[12] = mass;
-    return sums;
-""")
-def crowd(
-    h: float,
-    p: wp.vec3,
-    q: wp.quat,
-    position: wp.array(dtype=wp.vec3),
-    rotation: wp.array(dtype=wp.quat),
-    gradient_position: wp.array(dtype=wp.vec3),
-    gradient_rotation: wp.array(dtype=wp.vec3),
-    begin: int,
-    end: int,
-) -> Crowd:
-    """What the particles of a group do to one at (p, q), k being the product of (9) and (10): their gradients weighted
-    by k (position, rotation), the gradient of k by the others (position, and as the rotation vector that turns q away
-    from theirs, the same for a and -a), and the sum of k. In C++, so that a CPU looks at 8 of them at once."""
-    ...
-
-
-@wp.kernel
-def stein(
-    queue: Queue,
-    gamma: float,
-    terms: Terms,
-    hand: Hand,
-    group_start: wp.array(dtype=wp.int32),
-    group_count: wp.array(dtype=wp.int32),
-    particles: Particles,
-    position_out: wp.array(dtype=wp.vec3),
-    rotation_out: wp.array(dtype=wp.quat),
-):
-    """Eqs. (7), (8): each particle moves along the kernel-weighted gradients of its preshape's particles and away from
-    them, k being the product of (9) and (10). Dividing by the kernel's mass makes eta = 1 a Gauss-Newton step both for
-    a lone particle and in a crowd."""
-    i = take(queue, wp.tid())
-    if i < 0:
-        return
-    g = particles.preshape[i]
-    start = group_start[g]
-    count = group_count[g]
-    n = float(hand.count[g])
-    p = particles.position[i]
-    q = particles.rotation[i]
-    # Bandwidth by the mean squared distance over log K, the median rule without a sort.
-    spread = spread_of(particles.position, start, start + count)
-    h = wp.max(2.0 * spread / wp.log(float(count) + 1.0), 1.0e-8)
-    sums = crowd(
-        h,
-        p,
-        q,
-        particles.position,
-        particles.rotation,
-        particles.gradient_position,
-        particles.gradient_rotation,
-        start,
-        start + count,
-    )
-    drift_t = wp.vec3(sums[0], sums[1], sums[2])
-    drift_w = wp.vec3(sums[3], sums[4], sums[5])
-    away_t = wp.vec3(sums[6], sums[7], sums[8])
-    away_w = wp.vec3(sums[9], sums[10], sums[11])
-    mass = sums[12]
-    move = (-gamma * drift_t + terms.repulsion * inverse_mass(terms) * away_t / n) / mass
-    spin = (-gamma * drift_w + terms.repulsion * hand_turn(hand, g, wp.quat_to_matrix(q), away_w) / n) / mass
-    position_out[i] = p + shortened(terms.learning_rate * move, terms.longest_step)
-    rotation_out[i] = turn(q, terms.learning_rate * spin)

@@ -17,7 +17,7 @@ from graspmatch.config import MatchingConfig
 from graspmatch.geometry import se3
 from graspmatch.geometry.cloud import extent, voxel_downsample
 from graspmatch.geometry.thin import thinned
-from graspmatch.kernels import warp_collide, warp_match, warp_steps
+from graspmatch.kernels import warp_collide, warp_match, warp_stein, warp_steps
 from graspmatch.kernels.fields import BlockCloud, covering_nearest_field, in_block_order, upload_blocks
 from graspmatch.kernels.launch import download, launch, upload
 from graspmatch.kernels.warp_blocks import LANES
@@ -123,13 +123,10 @@ def match(
         recording.start()
     show()
     stein_iterations = min(stein_phase(config), config.iterations)
-    groups = groups_of(starts, particles, problem)
     draws = draw(problem, config, rng)
-    for k in range(1, stein_iterations + 1):
-        gradients(problem, particles, draws, k - 1, with_prior=True)  # eqs. (16)-(18)
-        stein_step(problem, particles, groups, annealing(k, config))  # eqs. (7), (8)
-        show()
-    descend(problem, particles, draws, stein_iterations, config, show if recording else None)  # eq. (3)
+    watch = show if recording else None
+    stein(problem, particles, groups_of(starts, particles, problem), draws, stein_iterations, config, watch)
+    descend(problem, particles, draws, stein_iterations, config, watch)  # eq. (3)
     gradients(problem, particles, problem.whole, want_loss=True)
     launch(warp_steps.take_best, len(starts), [particles], [], problem.device)
     show()
@@ -221,11 +218,10 @@ def gradients(
     k: int = 0,
     *,
     want_loss: bool = False,
-    with_prior: bool = False,
 ) -> None:
     """One pass of eqs. (16)-(18), with the k-th of the mini-batches; `want_loss` is for the loss of those that collide,
     too."""
-    inputs = [*slope_inputs(problem, draws, k), int(want_loss), int(with_prior), particles]
+    inputs = [*slope_inputs(problem, draws, k), int(want_loss), particles]
     launch(warp_steps.gradients, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES)
 
 
@@ -240,9 +236,7 @@ def descend(
     """The iterations from a first one on, in which every particle goes its own way: one launch, but where each has
     another target or is shown."""
     settle_from = int(np.ceil(full_batch_from(config))) - 1
-    rest = range(first, config.iterations)
-    runs = [rest] if not draws.parts and show is None else [range(k, k + 1) for k in rest]
-    for run in filter(len, runs):
+    for run in runs_of(range(first, config.iterations), draws, show):
         counts = [len(run), settle_from - run.start, int(config.method == "icp")]
         inputs = [*slope_inputs(problem, draws, run.start), *counts, particles]
         launch(warp_steps.descend, particles.preshape.shape[0], inputs, [], problem.device, lanes=LANES)
@@ -261,7 +255,7 @@ def slope_inputs(problem: Problem, draws: Draws, k: int) -> list:
 @dataclass
 class Groups:
     """Particles by preshape, which see each other in the Stein phase: where those of each begin and how many they are,
-    and room for where all of them go."""
+    and where all of them go next."""
 
     begin: wp.array
     count: wp.array
@@ -276,18 +270,36 @@ def groups_of(starts: Candidates, particles: warp_match.Particles, problem: Prob
     return Groups(
         begin=upload(begin, wp.int32, problem.device),
         count=upload(end - begin, wp.int32, problem.device),
-        position=wp.empty_like(particles.position),
-        rotation=wp.empty_like(particles.rotation),
+        position=wp.clone(particles.position),
+        rotation=wp.clone(particles.rotation),
     )
 
 
-def stein_step(problem: Problem, particles: warp_match.Particles, groups: Groups, gamma: float) -> None:
-    """One SVGD update of all particles, each with the others of its preshape."""
-    inputs = [gamma, problem.terms, problem.hand.matching, groups.begin, groups.count, particles]
-    moved = [groups.position, groups.rotation]
-    launch(warp_steps.stein, particles.position.shape[0], inputs, moved, problem.device)
-    groups.position, groups.rotation = particles.position, particles.rotation
-    particles.position, particles.rotation = moved
+def stein(
+    problem: Problem,
+    particles: warp_match.Particles,
+    groups: Groups,
+    draws: Draws,
+    iterations: int,
+    config: MatchingConfig,
+    show: Callable[[], object] | None = None,
+) -> None:
+    """The Stein phase: SVGD updates of all particles, each with the others of its preshape."""
+    gamma = upload([annealing(k, config) for k in range(1, iterations + 1)], wp.float32, problem.device)
+    for run in runs_of(range(iterations), draws, show):
+        inputs = [*slope_inputs(problem, draws, run.start), len(run), gamma, groups.begin, groups.count, particles]
+        outputs = [groups.position, groups.rotation]
+        n, rounds = particles.preshape.shape[0], 2 * len(run) + 1
+        launch(warp_stein.stein, n, inputs, outputs, problem.device, lanes=LANES, rounds=rounds)
+        if show:
+            show()
+
+
+def runs_of(iterations: range, draws: Draws, show: Callable[[], object] | None) -> list[range]:
+    """What of some iterations one launch can do: all, but where each has another target or is shown."""
+    if draws.parts or show:
+        return [range(k, k + 1) for k in iterations]
+    return [iterations] if iterations else []
 
 
 def target_spacing(points: Float[np.ndarray, "n 3"], voxel_size: float) -> float:

@@ -167,7 +167,7 @@ def _packed_one(kernel: wp.Kernel, argument: Any, value: Any) -> Any:
         packed = value.__ctype__()
         is_right = type(packed) is getattr(kind, "ctype", None)
     elif isinstance(value, (int, float, np.number)):
-        is_right = kind in (wp.int32, wp.float32)
+        is_right = kind in (wp.int32, wp.uint64, wp.float32)
         packed = kind._type_(value) if is_right else None
     else:  # a vector
         is_right = isinstance(kind, type) and isinstance(value, kind)

@@ -113,9 +113,8 @@ def candidates_from(
     closed = foremost(closed, count, judge.trials, space, judge.target, config.grip, tally)
     closed, share = roomiest(closed, judge)  # in wider preshapes, where that makes room
     watch.lap("screen")
-    graded = judge.grade(
-        closed, judge.first, share=share
-    )  # where the fingers push the object, what they hold there, how surely
+    # where the fingers push the object, what they hold there, how surely
+    graded = judge.grade(closed, judge.first, share=share)
     watch.lap("grade")
     graded = refine(graded, judge)
     watch.lap("refine")

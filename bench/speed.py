@@ -33,7 +33,7 @@ TARGETS: dict[str, tuple[str, str, Callable[[float], bool]]] = {
     "franka_gpu_ms": ("Franka, one GPU", "<= 5 ms", lambda ms: ms <= 5),
     "barrett_gpu_ms": ("Barrett, one GPU", "<= 4 ms", lambda ms: ms <= 4),
     "torch_ratio_cpu": ("matching in plain PyTorch takes", ">= 30 times as long", lambda ratio: ratio >= 30),
-    "torch_loss_ratio": ("its root loss (median of all particles)", ">= 1 times ours", lambda ratio: ratio >= 0.99),
+    "torch_loss_ratio": ("its median root loss, by ours", ">= 1, within 1 %", lambda ratio: ratio >= 0.99),
     "peak_mb": ("peak memory above the imports", "<= 300 MB", lambda mb: mb <= 300),
     "import_s": ("import graspmatch", "<= 0.2 s", lambda s: s <= 0.2),
     "help_s": ("graspmatch --help", "<= 0.6 s", lambda s: s <= 0.6),
@@ -117,6 +117,8 @@ def show(title: str, rows: dict[str, dict], out: Console) -> None:
         low, high = row["spread_ms"]
         stage_times = [f"{row['stages_ms'][stage]:.1f}" for stage in stages]
         table.add_row(label, str(row["particles"]), f"{row['ms']:.0f}", f"{low:.0f} - {high:.0f}", *stage_times)
+    middle = [f"{np.median([row['stages_ms'][stage] for row in rows.values()]):.1f}" for stage in stages]
+    table.add_row("median", "", f"{np.median([row['ms'] for row in rows.values()]):.0f}", "", *middle)
     out.print(table)
 
 

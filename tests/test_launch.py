@@ -1,3 +1,4 @@
+# pyright: reportInvalidTypeForm=false
 """Launches on several CPU threads: every element is some thread's, once."""
 
 from __future__ import annotations

@@ -291,7 +291,7 @@ def test_lowest_corners_along_directions():
 def test_way_in_is_as_high_as_the_lower_of_its_ends(toy):
     rng = np.random.default_rng(0)
     space = upload_space(box_scene(), toy, "cpu")
-    turn = Rotation.random(30, random_state=0).as_matrix()
+    turn = Rotation.from_rotvec(rng.normal(size=(30, 3))).as_matrix()
     ways = Candidates(rng.integers(len(toy.preshapes), size=30), se3.from_parts(turn, rng.normal(size=(30, 3)) * 0.2))
     starts = replace(ways, T_world_gripper=ways.T_world_gripper @ toy.T_gripper_pregrasp)
     ends = np.stack([table_clearance(some, space) for some in (ways, starts)])

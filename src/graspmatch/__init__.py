@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from graspmatch.gripper.load import load_gripper as load_gripper
     from graspmatch.gripper.zoo import known_grippers as known_grippers
     from graspmatch.planner.arm import Arm as Arm
+    from graspmatch.planner.many import plan_many as plan_many
     from graspmatch.planner.order import plan_all as plan_all
     from graspmatch.planner.plan import plan as plan
     from graspmatch.planner.waypoints import waypoints as waypoints
@@ -40,6 +41,7 @@ _HOMES = {
     "load_gripper": "graspmatch.gripper.load",
     "plan": "graspmatch.planner.plan",
     "plan_all": "graspmatch.planner.order",
+    "plan_many": "graspmatch.planner.many",
     "read_grasps": "graspmatch.formats.registry",
     "scenes_of_depth": "graspmatch.scene.every",
     "scenes_of_view": "graspmatch.scene.every",

@@ -12,6 +12,7 @@ import copy
 import functools
 import os
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -75,8 +76,30 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked child has the pool but not its threads
 
 
+class _Share(threading.local):
+    """What a Python thread may take of the CPU."""
+
+    threads: int | None = None
+
+
+_share = _Share()
+
+
+@contextlib.contextmanager
+def launches_on(threads: int) -> Iterator[None]:
+    """While it lasts, what this Python thread launches has so many CPU threads, for others launch something, too."""
+    before, _share.threads = _share.threads, threads
+    try:
+        yield
+    finally:
+        _share.threads = before
+
+
 def thread_count() -> int:
-    """Number of CPU threads used for kernels: `GRASPMATCH_THREADS`, else the cores this process may run on."""
+    """Number of CPU threads used for kernels: see `launches_on`, else `GRASPMATCH_THREADS`, else the cores this process
+    may run on."""
+    if _share.threads is not None:
+        return _share.threads
     wanted = os.environ.get("GRASPMATCH_THREADS")
     if not wanted:
         return _cores()
@@ -144,9 +167,17 @@ def _command(kernel: wp.Kernel, parameters: list, dim: int) -> wp.Launch:
     return command
 
 
-@functools.cache
+_loading = threading.Lock()
+
+
 def _blank(kernel: wp.Kernel) -> wp.Launch:
     """A launch on the CPU that lacks its parameters."""
+    with _loading:  # the first one loads the kernel, which Warp must not do twice at once
+        return _loaded(kernel)
+
+
+@functools.cache
+def _loaded(kernel: wp.Kernel) -> wp.Launch:
     return wp.Launch(kernel, wp.get_device("cpu"))
 
 

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from graspmatch.config import PlannerConfig
 from graspmatch.geometry.thin import thinned
+from graspmatch.planner.many import plan_many
 from graspmatch.planner.path import Reach
 from graspmatch.planner.plan import plan
 from graspmatch.scene.scene import Scene
@@ -68,7 +69,7 @@ def plan_all(
     Objects without any grasp are at the end, with an empty set that explains itself.
     """
     config = config or PlannerConfig()
-    found = {number: plan(scene, gripper, config, reach=reach) for number, scene in scenes.items()}
+    found = dict(zip(scenes, plan_many(list(scenes.values()), gripper, config, reach=reach), strict=True))
     clouds = {number: thinned(scene.seen_points, POINTS) for number, scene in scenes.items()}
     above = {number: _standing_on(number, scenes[number], clouds) for number in scenes}
     table = _Table(dict(scenes), found, clouds, above, list(scenes), [], dict.fromkeys(scenes, 0))

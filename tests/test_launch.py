@@ -1,5 +1,6 @@
-# pyright: reportInvalidTypeForm=false
 """Launches on several CPU threads: every element is some thread's, once."""
+
+# pyright: reportInvalidTypeForm=false
 
 from __future__ import annotations
 

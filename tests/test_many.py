@@ -30,12 +30,13 @@ def boxes():
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "5"])
-def test_each_scene_gets_the_grasps_that_it_gets_alone(toy, boxes, threads, monkeypatch):
+def test_each_scene_gets_the_grasps_that_it_gets_alone(toy, boxes, threads, device, monkeypatch):
     monkeypatch.setenv("GRASPMATCH_THREADS", threads)
-    together = plan_many(boxes, toy, QUICK)
+    config = replace(QUICK, device=device)
+    together = plan_many(boxes, toy, config)
     assert [len(grasps) > 0 for grasps in together] == [True, True, False, True, True]
     for scene, grasps in zip(boxes, together, strict=True):
-        alone = plan(scene, toy, QUICK)
+        alone = plan(scene, toy, config)
         np.testing.assert_array_equal(grasps.T_world_gripper, alone.T_world_gripper)
         np.testing.assert_array_equal(grasps.grasp_joints, alone.grasp_joints)
         np.testing.assert_array_equal(grasps.score, alone.score)

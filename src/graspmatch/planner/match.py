@@ -130,21 +130,20 @@ def match(
     gradients(problem, particles, problem.whole, want_loss=True)
     launch(warp_steps.take_best, len(starts), [particles], [], problem.device)
     show()
-    return in_world(particles, starts, problem)
-
-
-def in_world(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Matched:
-    """The particles where they are, in the world, and what was last found there."""
-    rotation = se3.matrix_from_quaternion(np.roll(download(particles.rotation).astype(float), 1, axis=-1))
-    position = download(particles.position).astype(float) + problem.centre_of_mass
-    lever = np.einsum("nij,nj->ni", rotation, problem.hand.pivots[starts.preshape])
     return Matched(
-        preshape=starts.preshape,
-        T_world_gripper=se3.from_parts(rotation, position - lever),
+        **vars(in_world(particles, starts, problem)),
         matching_error=download(particles.matching_error).astype(float),
         loss=download(particles.loss).astype(float),
         is_free=download(particles.colliding) == 0,
     )
+
+
+def in_world(particles: warp_match.Particles, starts: Candidates, problem: Problem) -> Candidates:
+    """The particles where they are, in the world."""
+    rotation = se3.matrix_from_quaternion(np.roll(download(particles.rotation).astype(float), 1, axis=-1))
+    position = download(particles.position).astype(float) + problem.centre_of_mass
+    lever = np.einsum("nij,nj->ni", rotation, problem.hand.pivots[starts.preshape])
+    return Candidates(starts.preshape, se3.from_parts(rotation, position - lever))
 
 
 def measure(candidates: Candidates, problem: Problem) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:

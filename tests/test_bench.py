@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from graspmatch.apps.bench import trials as trials_module
+from graspmatch.apps.bench.command import bench
 from graspmatch.apps.bench.experiments import variant_of
 from graspmatch.apps.bench.objects import ObjectSource, folder_sources, household_sources
 from graspmatch.apps.bench.plots import Series, plot_against_count, plot_rates
@@ -20,7 +22,9 @@ from graspmatch.apps.bench.summary import summary, wilson
 from graspmatch.apps.bench.tables import markdown
 from graspmatch.apps.bench.trials import NO_GRASP, TOPPLES, Job, PlanWith, Trial, TrialConfig, run_trial, run_trials
 from graspmatch.apps.bench.view import view_sections
-from graspmatch.config import LiftConfig, PlannerConfig, SensorConfig, ViewConfig
+from graspmatch.apps.options import Bench
+from graspmatch.apps.speech import Speech
+from graspmatch.config import LiftConfig, PlannerConfig, SensorConfig, ViewConfig, fast
 from graspmatch.errors import GraspmatchError
 from graspmatch.gripper.load import load_gripper
 from graspmatch.scene.scene import Scene
@@ -205,6 +209,18 @@ def test_the_header_of_a_benchmark_names_what_results_depend_on(tmp_path: Path) 
     assert "count=3" in header["planner"]
     assert header["settings"]["lift"]["friction"] == 0.6
     assert header["gripper"] == load_gripper("kinova_kg3").name
+
+
+def test_fast_plans_are_measured_in_a_file_of_their_own(tmp_path: Path) -> None:
+    (tmp_path / "objects").mkdir()
+    trimesh.creation.box((0.05, 0.05, 0.08)).export(tmp_path / "objects" / "block.stl")
+    asked = Bench(
+        what="paper", gripper="kinova_kg3", objects=tmp_path / "objects", trials=1, fast=True, output=tmp_path
+    )
+    assert bench(asked, Speech(quiet=True)) == 0
+    assert "planned with `--fast`" in (tmp_path / "paper-kinova_kg3-fast.md").read_text()
+    header = json.loads((tmp_path / "paper-kinova_kg3-fast.trials.jsonl").read_text().splitlines()[0])
+    assert header["planner"] == repr(PlanWith(fast(PlannerConfig())))
 
 
 def test_views_are_split_by_the_side_and_the_share_that_was_seen() -> None:

@@ -236,6 +236,8 @@ class Bench:
     pose_error_deg: float = 0.0
     """Of its rotation about each axis."""
     camera: Annotated[ViewConfig, tyro.conf.arg(name="camera")] = field(default_factory=ViewConfig)
+    fast: bool = False
+    """As of `graspmatch plan`: hands start once, and the best grasps are not refined."""
     pile: int = 5
     """Objects in a pile."""
     processes: int | None = None

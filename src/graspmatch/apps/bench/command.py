@@ -16,7 +16,7 @@ from graspmatch.apps.bench.view import view
 from graspmatch.apps.options import Bench
 from graspmatch.apps.report import finite_or_null
 from graspmatch.apps.speech import Speech
-from graspmatch.config import LiftConfig
+from graspmatch.config import LiftConfig, fast
 from graspmatch.errors import GraspmatchError
 from graspmatch.ranges import check, check_ranges
 
@@ -28,7 +28,8 @@ def bench(command: Bench, say: Speech) -> int:
     """Run the experiment that is asked for; the result is the exit status."""
     config, workshop = _trial_config(command), _workshop(command)
     sources = household_sources() if command.what == "quick" else folder_sources(command.objects)
-    task = Task(command.gripper, command.description, sources, config, command.config, command.pile)
+    planner = fast(command.config) if command.fast else command.config
+    task = Task(command.gripper, command.description, sources, config, planner, command.pile)
     experiments = {"paper": paper, "ablation": ablation, "quick": quick, "view": view, "clutter": clutter}
     result = experiments[command.what](task, workshop, say)
     if say.as_json:
@@ -58,6 +59,7 @@ def _trial_config(command: Bench) -> TrialConfig:
         pose_error_mm=command.pose_error_mm,
         pose_error_deg=command.pose_error_deg,
         view=command.camera if command.what in ("view", "clutter") else None,
+        fast=command.fast,
     )
 
 

@@ -203,7 +203,7 @@ def _with_method(config: PlannerConfig, method: Method) -> PlannerConfig:
 
 
 def variant_of(config: TrialConfig) -> str:
-    """Names a variant of the protocol, so that its trials have a file of their own."""
+    """Names a variant of the protocol or of planning, so that its trials have a file of their own."""
     parts = []
     if config.lift.friction != 0.6:
         parts.append(f"friction-{config.lift.friction:g}")
@@ -211,6 +211,7 @@ def variant_of(config: TrialConfig) -> str:
         parts.append(f"mass-{config.lift.mass:g}")
     if config.pose_error_mm or config.pose_error_deg:
         parts.append(f"error-{config.pose_error_mm:g}mm-{config.pose_error_deg:g}deg")
+    parts += ["fast"] if config.fast else []
     parts += [] if config.view is None else variant_of_view(config.view)
     return "".join(f"-{part}" for part in parts)
 

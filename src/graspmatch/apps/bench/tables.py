@@ -88,7 +88,8 @@ def notes_on(about: dict[str, str], settings: dict[str, Any], processes: int, ex
     error = f"{settings['pose_error_mm']:g} mm, {settings['pose_error_deg']:g} degrees"
     return [
         f"Protocol `lift` version 1: friction {lift['friction']:g}, mass {mass}, pose error {error}, "
-        f"seed {settings['seed']}; only the top-ranked grasp of each plan is tried.",
+        f"seed {settings['seed']}; only the top-ranked grasp of each plan is tried"
+        f"{'; planned with `--fast`' * settings['fast']}.",
         "The mean is over the objects' rates, its interval over all trials. Times are medians, with "
         f"{processes} trial{'s' * (processes != 1)} at a time on all cores.",
         described(about),

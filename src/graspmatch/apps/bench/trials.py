@@ -52,6 +52,8 @@ class TrialConfig:
     """Of its rotation about each axis."""
     view: ViewConfig | None = None
     """The planner gets one depth image; none: it gets the mesh."""
+    fast: bool = False
+    """The planner is configured as `--fast` does."""
 
 
 @dataclass(frozen=True)

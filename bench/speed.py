@@ -11,6 +11,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from rich.table import Table
 
 from footprint import footprint
 from graspmatch.apps.bench.machine import machine
-from graspmatch.config import PlannerConfig
+from graspmatch.config import PlannerConfig, fast
 from graspmatch.gripper.load import load_gripper
 from graspmatch.planner.many import plan_many
 from graspmatch.planner.plan import plan
@@ -50,13 +51,13 @@ TORCH_SEEDS = 5
 """Times that each object is matched, with ours and then with plain PyTorch."""
 
 
-def measure(scene: Scene, gripper: Gripper, repeats: int, device: str) -> dict:
+def measure(scene: Scene, gripper: Gripper, repeats: int, config: PlannerConfig) -> dict:
     """Median time of a plan and of its stages [ms], every repeat with another seed."""
-    plan(scene, gripper, PlannerConfig(device=device))
+    plan(scene, gripper, config)
     times, stages, counts = [], [], []
     for seed in range(repeats):
         begin = time.perf_counter()
-        grasps = plan(scene, gripper, PlannerConfig(seed=seed, device=device))
+        grasps = plan(scene, gripper, replace(config, seed=seed))
         times.append(time.perf_counter() - begin)
         stages.append(grasps.provenance.seconds)
         counts.append(grasps.tally["candidates"])
@@ -120,12 +121,14 @@ def run(arguments: argparse.Namespace, out: Console) -> dict:
     report: dict = {"machine": machine(), "repeats": repeats, "objects": list(objects), "details": {}}
     for device in ("cpu", "cuda") if has_gpu() else ("cpu",):
         for name in grippers:
-            gripper = load_gripper(name)
-            rows = {label: measure(scene, gripper, repeats, device) for label, scene in objects.items()}
-            report["details"][f"{name} on {device}"] = rows
-            figure = f"{name.split('_')[0]}_{'cpu' if device == 'cpu' else 'gpu'}_ms"
-            report[figure] = float(np.median([row["ms"] for row in rows.values()]))
-            show(f"{name} on {device}", rows, out)
+            gripper, config = load_gripper(name), PlannerConfig(device=device)
+            for way, planned in (("", config), ("_fast", fast(config))):
+                rows = {label: measure(scene, gripper, repeats, planned) for label, scene in objects.items()}
+                title = f"{name} on {device}{way.replace('_', ', --')}"
+                report["details"][title] = rows
+                figure = f"{name.split('_')[0]}_{'cpu' if device == 'cpu' else 'gpu'}{way}_ms"
+                report[figure] = float(np.median([row["ms"] for row in rows.values()]))
+                show(title, rows, out)
         report |= measure_many(objects, load_gripper(grippers[0]), 10 if arguments.short else MANY, device)
     if arguments.torch:
         report |= beside_torch(load_gripper(grippers[0]), dict(list(objects.items())[: arguments.torch]), "cpu")
@@ -158,6 +161,8 @@ def show_targets(report: dict, out: Console) -> None:
         else:
             table.add_row(label, target, "not measured", "")
     out.print(table)
+    quick = [f"{key.removesuffix('_fast_ms')} {report[key]:.0f} ms" for key in report if key.endswith("_fast_ms")]
+    out.print(f"With `--fast`, which refines nothing: {', '.join(quick)}.")
 
 
 def main() -> None:

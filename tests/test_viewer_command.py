@@ -36,7 +36,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def running(*words: str) -> Iterator[tuple[subprocess.Popen, dict[str, Any]]]:
     """A command that serves a page, and the one object that it prints."""
     command = [sys.executable, "-m", "graspmatch.apps.cli", *words, "--json"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    # Children of a shell's background jobs ignore Ctrl-C unless told otherwise; a terminal's do not.
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     try:
         assert process.stdout is not None
         yield process, json.loads(process.stdout.readline())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -216,6 +218,16 @@ def test_narrowest_width_of_a_box_is_its_shortest_edge_whatever_way_it_is_turned
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     assert narrowest_width(corners @ turn.T) == pytest.approx(0.05)
     assert narrowest_width(corners[corners[:, 0] > 0]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_narrowest_width_of_a_ball_of_many_points_takes_little_memory():
+    ball = sphere(20_000, 0.09)
+    tracemalloc.start()
+    width = narrowest_width(ball)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert width == pytest.approx(0.18, rel=0.005)
+    assert peak < 50e6  # 20,000 corners times 40,000 faces would be 6 GB
 
 
 def test_least_axis_is_that_of_the_smallest_eigenvalue(rng):

@@ -5,6 +5,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -114,3 +117,16 @@ def test_kernels_run_in_a_forked_process(monkeypatch):
     child.join(20)
     child.kill()
     assert child.exitcode == 0
+
+
+LOADING = """
+from graspmatch.kernels import launch, warp_fields, warp_path
+launch.load([warp_fields.sweep_along, warp_fields.sweep_across, warp_path.way_clearance], "cpu")
+"""
+
+
+def test_loading_compiles_each_module_once_without_a_launch(tmp_path):
+    environment = os.environ | {"WARP_CACHE_PATH": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", LOADING], check=True, env=environment)
+    compiled = sorted(file.name.split(".")[2].rsplit("_", 1)[0] for file in tmp_path.rglob("*.o"))
+    assert compiled == ["warp_fields", "warp_path"]

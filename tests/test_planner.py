@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 from scipy.spatial.transform import Rotation
 
 from graspmatch.config import (
@@ -21,6 +22,7 @@ from graspmatch.config import (
 from graspmatch.geometry import se3
 from graspmatch.geometry.grid import Grid, interpolate
 from graspmatch.gripper.load import load_gripper
+from graspmatch.kernels import launch
 from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import (
     keep_free,
@@ -32,7 +34,7 @@ from graspmatch.planner.avoid import (
 from graspmatch.planner.candidates import Candidates, Matched
 from graspmatch.planner.close import contact_joints, first_crossing
 from graspmatch.planner.match import annealing, batch_share, match, prepare
-from graspmatch.planner.plan import plan
+from graspmatch.planner.plan import KERNELS, plan
 from graspmatch.planner.rank import rank
 from graspmatch.planner.seed import asked_for, pose_seeds, seed_poses
 from graspmatch.planner.tally import Tally
@@ -239,6 +241,20 @@ def test_same_seed_gives_the_same_bits_for_any_number_of_threads(toy, monkeypatc
     for other in results[1:]:
         np.testing.assert_array_equal(results[0].T_world_gripper, other.T_world_gripper)
         np.testing.assert_array_equal(results[0].score, other.score)
+
+
+def test_all_that_a_plan_launches_is_loaded_before(toy, monkeypatch):
+    monkeypatch.setenv("GRASPMATCH_THREADS", "1")
+    launched = set()
+
+    def recording(kernel: wp.Kernel) -> wp.Launch:
+        launched.add(kernel.module.name)
+        return blank(kernel)
+
+    blank = launch._blank
+    monkeypatch.setattr(launch, "_blank", recording)
+    plan(box_scene(), toy, PlannerConfig(device="cpu"))
+    assert launched == {kernel.module.name for kernel in KERNELS}
 
 
 def test_another_seed_gives_other_grasps(toy):

@@ -65,6 +65,8 @@ def _cores() -> int:
 
 MOST_THREADS = 255
 """That a byte can tell apart."""
+BLOCK_DIM = 128
+"""Threads of a block on the GPU."""
 
 
 @functools.cache
@@ -141,7 +143,7 @@ def launch(
         for k in range(rounds):
             queue = Queue()
             queue.begin = k * dim
-            wp.launch(kernel, dim * lanes, [queue, *inputs], outputs, device=device, block_dim=128)
+            wp.launch(kernel, dim * lanes, [queue, *inputs], outputs, device=device, block_dim=BLOCK_DIM)
         return
     threads = min(thread_count(), dim, MOST_THREADS)
     shared = np.zeros(rounds * (4 + dim), dtype=np.uint8)
@@ -168,6 +170,19 @@ def _command(kernel: wp.Kernel, parameters: list, dim: int) -> wp.Launch:
 
 
 _loading = threading.Lock()
+
+
+def load(kernels: Sequence[wp.Kernel], device: str) -> None:
+    """Get the modules of some kernels ready. What this machine has never compiled is compiled side by side, which
+    takes long; the launches would do it one after the other."""
+    with _loading:
+        _load(tuple(kernels), device)
+
+
+@functools.cache
+def _load(kernels: tuple[wp.Kernel, ...], device: str) -> None:
+    modules = {kernel.module.name: kernel.module for kernel in kernels}
+    wp.force_load(device, list(modules.values()), block_dim=BLOCK_DIM, max_workers=_cores())
 
 
 def _blank(kernel: wp.Kernel) -> wp.Launch:

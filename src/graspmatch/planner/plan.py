@@ -12,7 +12,12 @@ from jaxtyping import Float
 
 from graspmatch.config import ClosingConfig, PathConfig, PlannerConfig, RankingConfig
 from graspmatch.kernels.blas import blas_on_one_thread
-from graspmatch.kernels.launch import resolve_device
+from graspmatch.kernels.launch import load, resolve_device
+from graspmatch.kernels.warp_avoid import back_off
+from graspmatch.kernels.warp_fields import sweep_along
+from graspmatch.kernels.warp_hold import hold
+from graspmatch.kernels.warp_stein import stein
+from graspmatch.kernels.warp_steps import descend
 from graspmatch.planner.advice import UNSURE, advice
 from graspmatch.planner.avoid import keep_free, upload_space
 from graspmatch.planner.candidates import Candidates, Graded
@@ -30,6 +35,9 @@ from graspmatch.planner.tally import Tally
 from graspmatch.ranges import check
 from graspmatch.scene.scene import Scene
 from graspmatch.types import GraspmatchError, GraspSet, Gripper, Provenance
+
+KERNELS = (descend, hold, stein, back_off, sweep_along)
+"""One of each module that every plan needs; what takes longest to compile comes first."""
 
 
 @blas_on_one_thread()
@@ -58,6 +66,7 @@ def plan(
             f"closing.fewest_fingers is {config.closing.fewest_fingers}; {gripper.name} has {len(gripper.fingers)}."
         )
     device = resolve_device(config.device)
+    load(KERNELS, device)
     rng = np.random.default_rng(config.seed)
     watch, tally = Stopwatch(), Tally(0, recording)
     if starts_world_gripper is not None:  # what another planner chose is not scattered by the search for orientations

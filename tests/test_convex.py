@@ -99,6 +99,22 @@ def test_a_hull_within_tolerance_needs_no_coacd(monkeypatch: pytest.MonkeyPatch)
     assert 0 < convex_parts(as_mesh(dented)).fidelity.largest_bulge < 0.001
 
 
+@pytest.mark.parametrize("turned", range(3))
+def test_finely_divided_flat_faces_do_not_cost_a_body(turned: int) -> None:
+    """Their points lie in rows, up to rounding: Qhull's facets between them have gaps."""
+    solid = trimesh.creation.cylinder(radius=0.04, height=0.11, sections=40)
+    solid.apply_transform(trimesh.transformations.random_rotation_matrix(np.random.default_rng(turned).random(3)))
+    whole = solid.volume
+    for _ in range(3):
+        solid = solid.subdivide()
+    fine = TriangleMesh(np.float64(np.float32(solid.vertices)), np.array(solid.faces, dtype=int))
+    convex = convex_parts(concatenate([fine, box(0.01, 0.01, 0.01, centre=(0.0, 0.0, 0.2))]))
+    assert_convex(convex)
+    assert len(convex.parts) == 2
+    assert convex.fidelity.largest_gap < 1e-6
+    assert trimesh.Trimesh(convex.parts[0].vertices, convex.parts[0].faces).volume == pytest.approx(whole, rel=1e-6)
+
+
 def test_separate_convex_bodies_are_their_own_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("graspmatch.simulate.decompose.run_coacd", lambda *_: pytest.fail("CoACD was called"))
     hammer = concatenate([box(0.02, 0.2, 0.02), box(0.1, 0.03, 0.03, centre=(0.0, 0.1, 0.0))])

@@ -127,3 +127,18 @@ def test_an_empty_file_of_grasps_has_no_verdicts(folder: Path, tmp_path: Path, c
     status = main(["simulate", str(tmp_path / "grasps.npz"), "--object", str(folder / "tin.stl"), "--json"])
     assert status == 3
     assert json.loads(capsys.readouterr().out)["held"] == []
+
+
+def test_parts_that_leave_out_some_of_the_mesh_are_said_to(folder: Path, tmp_path: Path, capsys) -> None:
+    tin = trimesh.load(folder / "tin.stl")
+    tin.export(tmp_path / "tin.stl")
+    lower = trimesh.creation.cylinder(radius=0.03, height=0.05, sections=48)
+    lower.apply_translation([0, 0, 0.025])
+    (tmp_path / "convex").mkdir()
+    lower.export(tmp_path / "convex" / "lower.stl")
+    options = ["--object", str(tmp_path / "tin.stl"), "--first", "1"]
+    main(["simulate", str(folder / "grasps.npz"), *options])
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert "a twentieth of the mesh is 50 mm or more from the convex parts that stand for it" in said
+    main(simulate(folder, "grasps.npz", "--first", "1"))
+    assert "convex parts that" not in " ".join("".join(capsys.readouterr()).split())

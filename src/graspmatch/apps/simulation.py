@@ -37,6 +37,8 @@ from graspmatch.types import GraspSet, Plane, SimulationReport
 
 FARTHEST, STEEPEST = 0.01, 5.0
 """An object that settles by more [m, degrees] is not where its grasps were planned."""
+MISSING = 0.005
+"""Convex parts that leave out a twentieth of a mesh by this much [m] are said to."""
 NONE_HELD = 3
 """Exit status when no grasp holds."""
 
@@ -47,7 +49,7 @@ def simulate_file(command: Simulate, table: float | Literal["auto"] | None, say:
     hand, grasps = _hand_and_grasps(command)
     config = _protocol(command)
     with say.progress(f"Reading {command.object.name} (the first time, its convex parts are computed)"):
-        target, height = _target(command, table, config.mass)
+        target, height = _target(command, table, config.mass, say)
     grasps = _moved(grasps, translation(np.array([0.0, 0.0, -height])))
     if command.first is not None:
         grasps = grasps.best(command.first)
@@ -139,7 +141,9 @@ def _protocol(command: Simulate) -> ProtocolConfig:
     return replace(PROTOCOLS[command.protocol](), **{name: value for name, value in given.items() if value is not None})
 
 
-def _target(command: Simulate, table: float | Literal["auto"] | None, mass: float | None) -> tuple[RigidBody, float]:
+def _target(
+    command: Simulate, table: float | Literal["auto"] | None, mass: float | None, say: Speech
+) -> tuple[RigidBody, float]:
     """The object [m] above a table at z = 0, and the height of that table in the frame of the grasps."""
     scene = Scene.read(command.object, table=table, unit=command.unit)
     if scene.mesh is None:
@@ -150,6 +154,11 @@ def _target(command: Simulate, table: float | Literal["auto"] | None, mass: floa
     ready = command.object.parent / "convex"
     scaled = command.unit not in ("auto", "m")
     convex = convex_parts(scene.mesh, folder=ready if ready.is_dir() and not scaled else None)
+    if convex.fidelity.gap > MISSING:
+        say.show(
+            f"Note: a twentieth of the mesh is {1000 * convex.fidelity.gap:.0f} mm or more from the convex parts that "
+            "stand for it: what is missing there cannot be touched."
+        )
     down = translation(np.array([0.0, 0.0, -height]))
     parts = tuple(transformed(part, down) for part in convex.parts)
     moved = transformed(scene.mesh, down)

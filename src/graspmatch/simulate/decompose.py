@@ -15,7 +15,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from graspmatch.geometry.cloud import farthest_along
 from graspmatch.geometry.mesh import TriangleMesh, face_normals_areas
+from graspmatch.geometry.sphere import fibonacci_directions
 from graspmatch.simulate import mend
 from graspmatch.simulate.fidelity import fidelity
 from graspmatch.types import GraspmatchError
@@ -35,6 +37,8 @@ SPECK = 0.001
 """A body with a smaller share of the whole surface is dropped: scans have hundreds of them, floating around."""
 SMALLEST_VOLUME = 1e-12
 """[m3] Slivers below this weigh nothing and have no normal that a physics engine could trust."""
+DIRECTIONS = 4000
+"""In which the corners of a hull are looked for where it has too many: of a ball of 10 cm it is 0.03 mm short."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,7 @@ class CoacdSettings:
 
 def recipe() -> str:
     """All that decides about the parts beside the mesh, for the key of a cache."""
-    knobs = (TOLERANCE, CONCAVITY, CONCAVITY_SHARE, MOST_PARTS, FEWEST_PARTS, SPECK, SMALLEST_VOLUME)
+    knobs = (TOLERANCE, CONCAVITY, CONCAVITY_SHARE, MOST_PARTS, FEWEST_PARTS, SPECK, SMALLEST_VOLUME, DIRECTIONS)
     return f"coacd {version('coacd')} {CoacdSettings(0, 0)} {knobs} {(mend.SMALL_HOLE, mend.WALL, mend.WALL_SHARE)}"
 
 
@@ -76,7 +80,16 @@ def decompose(bodies: list[TriangleMesh]) -> tuple[TriangleMesh, ...]:
 
 
 def convex_hull(points: Float[Array, "n 3"]) -> TriangleMesh | None:
-    """The closed hull of points, faces outward; None if they have no volume."""
+    """The closed hull of points, faces outward; None if they have no volume.
+
+    Finely divided flat faces have points that lie in a row, between which Qhull leaves slivers and so no closed hull;
+    then that of the points that go farthest along many directions, none of which is within a face, stands for it.
+    """
+    return _closed_hull(points) or _closed_hull(points[farthest_along(fibonacci_directions(DIRECTIONS), points)])
+
+
+def _closed_hull(points: Float[Array, "n 3"]) -> TriangleMesh | None:
+    """As Qhull finds it; None if it is flat or not closed."""
     import trimesh
     from scipy.spatial import QhullError
 

@@ -107,7 +107,7 @@ def test_finely_divided_flat_faces_do_not_cost_a_body(turned: int) -> None:
     whole = solid.volume
     for _ in range(3):
         solid = solid.subdivide()
-    fine = TriangleMesh(np.float64(np.float32(solid.vertices)), np.array(solid.faces, dtype=int))
+    fine = TriangleMesh(solid.vertices.astype(np.float32).astype(float), np.array(solid.faces, dtype=int))
     convex = convex_parts(concatenate([fine, box(0.01, 0.01, 0.01, centre=(0.0, 0.0, 0.2))]))
     assert_convex(convex)
     assert len(convex.parts) == 2
